@@ -1,0 +1,43 @@
+"""Covariances: checks, propagation, the two-sided difference every Jacobian is held against."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fieldloc.pose import FloatArray
+
+
+def check_covariance(covariance: FloatArray, size: int, name: str = "covariance") -> FloatArray:
+    """The matrix as (size, size) floats; ValueError unless finite, symmetric and positive definite."""
+    matrix = np.asarray(covariance, dtype=np.float64)
+    if matrix.shape != (size, size):
+        raise ValueError(f"{name} has shape {matrix.shape}, needs ({size}, {size})")
+    if not np.all(np.isfinite(matrix)):
+        raise ValueError(f"{name} holds a value that is not finite")
+    scale = np.abs(matrix).max()
+    if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
+        raise ValueError(f"{name} is not symmetric")
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        raise ValueError(f"{name} is not positive definite") from None
+    return matrix
+
+
+def propagate(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
+    """First-order covariance (..., m, m) of f(x) from its Jacobian (..., m, n) and the covariance (..., n, n) of x."""
+    out = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
+    return np.asarray(0.5 * (out + np.swapaxes(out, -1, -2)))
+
+
+def squared_mahalanobis(residual: FloatArray, covariance: FloatArray) -> FloatArray:
+    """r^T S^-1 r (...) for residuals (..., n) and covariances (..., n, n)."""
+    weighted = np.linalg.solve(covariance, residual[..., None])[..., 0]
+    return np.asarray(np.sum(residual * weighted, axis=-1))
+
+
+def central_difference(f: Callable[[FloatArray], FloatArray], x: FloatArray, step: float = 1e-6) -> FloatArray:
+    """Numerical Jacobian (m, n) of f: (n,) -> (m,) at x. Angles in f must not cross their branch cut within the step."""
+    steps = step * np.eye(len(x))
+    columns = [(f(x + d) - f(x - d)) / (2 * step) for d in steps]
+    return np.stack(columns, axis=-1)

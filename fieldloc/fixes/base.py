@@ -1,0 +1,21 @@
+"""The record every analytic solver returns."""
+
+from dataclasses import dataclass
+
+from fieldloc.pose import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """One pose of the robot that explains what was seen.
+
+    pose: (3,) field_from_robot.
+    covariance: (3, 3) of (x_m, y_m, heading_rad) in field axes, propagated from the observation.
+    log_weight: how well it explains the observation, log-likelihood up to a constant common to all solutions of one image.
+    solver: the function that found it.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    log_weight: float = 0.0
+    solver: str = ""
