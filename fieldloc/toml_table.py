@@ -1,0 +1,115 @@
+"""Typed reading of a TOML table: every mistake becomes one FieldlocError that names the file and the key."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from typing import Never, TypeGuard
+
+import numpy as np
+
+from fieldloc.errors import FieldlocError
+from fieldloc.pose import FloatArray
+
+
+class TomlTable:
+    """One table of a file. Read what it may hold, then `finish`: a key that nothing asked for is a mistake too."""
+
+    def __init__(self, values: Mapping[str, object], source: str, prefix: str = "") -> None:
+        self._values = values
+        self._source = source
+        self._prefix = prefix
+        self._asked: list[str] = []
+
+    @classmethod
+    def parse(cls, text: str, source: str) -> "TomlTable":
+        """The file's top table; `source` is how messages name the file."""
+        try:
+            return cls(tomllib.loads(text), source)
+        except tomllib.TOMLDecodeError as error:
+            raise FieldlocError(f"{source}: not valid TOML: {error}") from None
+
+    def fail(self, key: str, problem: str) -> Never:
+        """Raise about the key."""
+        raise FieldlocError(f"{self._source}: {self._prefix}{key}: {problem}")
+
+    def has(self, key: str) -> bool:
+        """Whether the key is given."""
+        self._asked.append(key)
+        return key in self._values
+
+    def string(self, key: str) -> str:
+        """A string that is not empty."""
+        value = self._get(key)
+        if not isinstance(value, str) or not value.strip():
+            self.fail(key, f"needs a name in quotes, got {value!r}")
+        return value
+
+    def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
+        """A finite number >= 0, or > 0; `default` where the key is missing, an error without one."""
+        if default is not None and not self.has(key):
+            return default
+        value = self._get(key)
+        need = "above 0" if positive else "of at least 0"
+        if not _is_number(value) or value < 0.0 or (positive and value == 0.0):
+            self.fail(key, f"needs a number {need}, got {value!r}")
+        return float(value)
+
+    def array(self, key: str, shape: tuple[int, ...], what: str) -> FloatArray:
+        """Nested lists of finite numbers as an array; -1 in the shape stands for any length, `what` tells the user."""
+        value = self._get(key)
+        flat = _flatten(value)
+        if flat is None:
+            self.fail(key, f"needs {what}, got {value!r}")
+        if shape[0] == -1 and not flat:
+            return np.zeros((0, *shape[1:]))
+        try:
+            array = np.array(value, dtype=np.float64)
+        except ValueError:
+            self.fail(key, f"needs {what}; its lists have different lengths")
+        if array.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)):
+            self.fail(key, f"needs {what}, got {value!r}")
+        return array
+
+    def table(self, key: str) -> "TomlTable":
+        """The table [key]."""
+        value = self._get(key)
+        if not isinstance(value, Mapping):
+            self.fail(key, f"needs a table [{self._prefix}{key}], got {value!r}")
+        return TomlTable(value, self._source, f"{self._prefix}{key}.")
+
+    def tables(self, key: str) -> list["TomlTable"]:
+        """The tables [[key]]; none where there are none."""
+        if not self.has(key):
+            return []
+        value = self._get(key)
+        if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
+            self.fail(key, f"needs tables [[{self._prefix}{key}]], got {value!r}")
+        return [TomlTable(item, self._source, f"{self._prefix}{key}[{i}].") for i, item in enumerate(value)]
+
+    def finish(self) -> None:
+        """Raise if the table holds a key that was never asked for."""
+        for key in self._values:
+            if key not in self._asked:
+                self.fail(key, f"unknown key; known here are {', '.join(sorted(set(self._asked)))}")
+
+    def _get(self, key: str) -> object:
+        if not self.has(key):
+            self.fail(key, "missing")
+        return self._values[key]
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _flatten(value: object) -> list[object] | None:
+    """The numbers of nested lists; None if something else is in there."""
+    if not isinstance(value, list):
+        return None
+    out: list[object] = []
+    for item in value:
+        inner = [item] if _is_number(item) else _flatten(item)
+        if inner is None:
+            return None
+        out += inner
+    return out
