@@ -1,0 +1,114 @@
+"""A mounted camera and the flat ground under it: pixel <-> point on the ground in the robot frame, with Jacobians.
+
+The paper's inverse projection (sec. 2.2, the matrix before eqs. 14-15) for any pan, tilt, roll and height, and for a
+lens with distortion. robot_from_camera = turn left by pan, then look down by tilt, then roll about the optical axis.
+"""
+
+import numpy as np
+
+from fieldloc.camera import Camera
+from fieldloc.lens import Mask
+from fieldloc.measurements import CameraMount
+from fieldloc.pose import FloatArray
+
+# columns: the camera's right, down and forward in the robot's axes (forward, left, up) while all angles are zero
+_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def robot_from_camera(mount: CameraMount) -> FloatArray:
+    """Rotation (3, 3) of camera rays into the robot's axes (x forward, y left, z up)."""
+    return np.asarray(_about_z(mount.pan_rad) @ _about_y(mount.tilt_rad) @ _about_x(mount.roll_rad) @ _LEVEL)
+
+
+def attitude_axes(mount: CameraMount) -> FloatArray:
+    """(3, 3), a row each: the robot-frame axes about which a small change of pan, tilt and roll turns the camera."""
+    pan = _about_z(mount.pan_rad)
+    return np.stack([np.array([0.0, 0.0, 1.0]), pan[:, 1], (pan @ _about_y(mount.tilt_rad))[:, 0]])
+
+
+def robot_ground_points(camera: Camera, mount: CameraMount, pixels: FloatArray) -> tuple[FloatArray, Mask]:
+    """Points (..., 2) of the ground in the robot frame that pixels (..., 2) show, and where there is one.
+
+    No pixel on or above the horizon has one, and none has while the camera is not above the ground; NaN there.
+    """
+    rays, exists = camera.ray(pixels)
+    directions = rays @ robot_from_camera(mount).T
+    down = -directions[..., 2]
+    mask = exists & (down > 0) & (mount.height_m > 0)
+    reach = mount.height_m / np.where(mask, down, np.nan)
+    return _below(mount) + reach[..., None] * directions[..., :2], mask
+
+
+def ground_jacobians(camera: Camera, mount: CameraMount, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Change of the ground points with their pixels (..., 2, 2) and with (height, pan, tilt, roll) (..., 2, 4).
+
+    NaN where `robot_ground_points` is masked.
+    """
+    points, _ = robot_ground_points(camera, mount, pixels)
+    rays, _ = camera.ray(pixels)
+    rotation = robot_from_camera(mount)
+    directions = rays @ rotation.T
+    from_foot = (points - _below(mount)) / mount.height_m
+    # foot-to-point = height * xy / -z: a change of direction moves it by height / -z * (d_xy + from_foot * d_z)
+    to_direction = np.empty((*points.shape, 3))
+    to_direction[..., :2] = np.eye(2)
+    to_direction[..., 2] = from_foot
+    to_direction *= (mount.height_m / -directions[..., 2])[..., None, None]
+    to_pixel = to_direction @ (rotation @ camera.ray_jacobian(pixels))
+    turns = np.cross(attitude_axes(mount), directions[..., None, :])
+    to_mount = np.concatenate([from_foot[..., None], to_direction @ np.swapaxes(turns, -1, -2)], axis=-1)
+    return to_pixel, to_mount
+
+
+def joint_ground_covariance(
+    camera: Camera, mount: CameraMount, pixels: FloatArray, covariance_px2: FloatArray
+) -> FloatArray:
+    """(2n, 2n) of the ground points x0, y0, x1, ... of pixels (n, 2): their own noise and the mount's, which is shared.
+
+    covariance_px2: (2n, 2n) of all pixels, or (n, 2, 2) where each has its own. Every pixel must show the ground.
+    """
+    count = len(pixels)
+    _, mask = robot_ground_points(camera, mount, pixels)
+    if not mask.all():
+        raise ValueError(f"pixel {pixels[~mask][0]} does not show the ground")
+    to_pixel, to_mount = ground_jacobians(camera, mount, pixels)
+    jacobian = block_diagonal(to_pixel)
+    noise = covariance_px2 if covariance_px2.ndim == 2 else block_diagonal(covariance_px2)
+    shared = to_mount.reshape(2 * count, 4)
+    covariance = jacobian @ noise @ jacobian.T + shared @ mount.covariance @ shared.T
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def project_points(camera: Camera, mount: CameraMount, points_in_robot: FloatArray) -> tuple[FloatArray, Mask]:
+    """Pixels (..., 2) of robot-frame points (..., 3), z up from the ground, and whether they are on the image."""
+    centre = np.array([mount.x_m, mount.y_m, mount.height_m])
+    return camera.project((points_in_robot - centre) @ robot_from_camera(mount))
+
+
+def block_diagonal(blocks: FloatArray) -> FloatArray:
+    """(n r, n c) with the blocks (n, r, c) on its diagonal."""
+    count, rows, columns = blocks.shape
+    out = np.zeros((count, rows, count, columns))
+    index = np.arange(count)
+    out[index, :, index, :] = blocks
+    return out.reshape(count * rows, count * columns)
+
+
+def _below(mount: CameraMount) -> FloatArray:
+    """The camera's foot (2,): the point of the ground straight below it."""
+    return np.array([mount.x_m, mount.y_m])
+
+
+def _about_x(angle_rad: float) -> FloatArray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def _about_y(angle_rad: float) -> FloatArray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def _about_z(angle_rad: float) -> FloatArray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
