@@ -8,7 +8,7 @@ TOLERANCE_M = 1e-3  # a map is drawn to the millimetre
 
 
 def symmetries(lines: FloatArray, circles: FloatArray, landmarks: FloatArray) -> FloatArray:
-    """Poses (s, 3) other than the identity that map the map onto itself, by heading in (-pi, pi]: the half turn is [0, 0, pi].
+    """Poses (s, 3) that map the map onto itself, without the identity; headings in (-pi, pi], a half turn is +pi.
 
     lines: (n, 2, 2) end points. circles: (k, 3) x, y, radius. landmarks: (m, 3) x, y, diameter; labels play no part.
     A bounded map can only turn about its middle, so each kind of thing must have its centroid there, and the outermost
