@@ -75,14 +75,14 @@ class Camera:
         plane = (np.asarray(pixels, dtype=np.float64) - self._centre) / self._focal
         return lens.unproject(self.model, self.distortion, plane)
 
-    def ray_jacobian(self, pixels: FloatArray) -> FloatArray:
-        """(..., 3, 2): the unit ray's change with the pixel; NaN where there is no ray."""
+    def ray_and_jacobian(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray, lens.Mask]:
+        """As `ray`, with the unit rays' change with their pixels (..., 3, 2) in the middle."""
         rays, exists = self.ray(pixels)
         # the rows of the projection's Jacobian stand at right angles to the ray: its pseudo-inverse keeps the length
         forward = np.where(exists[..., None, None], self.project_jacobian(rays), np.eye(2, 3))
         transposed = np.swapaxes(forward, -1, -2)
         inverse = transposed @ np.linalg.inv(forward @ transposed)
-        return np.where(exists[..., None, None], inverse, np.nan)
+        return rays, np.where(exists[..., None, None], inverse, np.nan), exists
 
     def contains(self, pixels: FloatArray) -> lens.Mask:
         """Whether pixels (..., 2) are on the image."""

@@ -44,17 +44,17 @@ def ground_jacobians(camera: Camera, mount: CameraMount, pixels: FloatArray) -> 
 
     NaN where `robot_ground_points` is masked.
     """
-    points, _ = robot_ground_points(camera, mount, pixels)
-    rays, _ = camera.ray(pixels)
+    rays, ray_to_pixel, exists = camera.ray_and_jacobian(pixels)
     rotation = robot_from_camera(mount)
     directions = rays @ rotation.T
-    from_foot = (points - _below(mount)) / mount.height_m
-    # foot-to-point = height * xy / -z: a change of direction moves it by height / -z * (d_xy + from_foot * d_z)
-    to_direction = np.empty((*points.shape, 3))
+    down = np.where(exists & (directions[..., 2] < 0) & (mount.height_m > 0), -directions[..., 2], np.nan)
+    from_foot = directions[..., :2] / down[..., None]  # in heights
+    # a change of direction moves the point by height / down * (d_xy + from_foot * d_z)
+    to_direction = np.empty((*from_foot.shape, 3))
     to_direction[..., :2] = np.eye(2)
     to_direction[..., 2] = from_foot
-    to_direction *= (mount.height_m / -directions[..., 2])[..., None, None]
-    to_pixel = to_direction @ (rotation @ camera.ray_jacobian(pixels))
+    to_direction *= (mount.height_m / down)[..., None, None]
+    to_pixel = to_direction @ (rotation @ ray_to_pixel)
     turns = np.cross(attitude_axes(mount), directions[..., None, :])
     to_mount = np.concatenate([from_foot[..., None], to_direction @ np.swapaxes(turns, -1, -2)], axis=-1)
     return to_pixel, to_mount
