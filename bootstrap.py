@@ -175,7 +175,7 @@ def wheel_url(page: str, page_url: str) -> str:
     """The address of pip's wheel on an index page (PEP 503: one link a file, its hash in the fragment)."""
     for link in re.findall(r"""<a\s[^>]*?href\s*=\s*["']([^"']+)""", page, re.IGNORECASE):
         url = urldefrag(urljoin(page_url, html.unescape(link))).url
-        if url.rpartition("/")[2] == PIP_WHEEL:
+        if urlsplit(url).path.rpartition("/")[2] == PIP_WHEEL:
             return url
     raise ValueError(f"it has no {PIP_WHEEL}")
 
