@@ -1,0 +1,143 @@
+"""The records that a log can hold, each with its name, version, topic and JSON Schema (docs/log-format.md).
+
+Messages are JSON (MCAP message encoding "json") described by JSON Schema ("jsonschema"), so that any viewer shows them
+and any person reads them. Numbers come back bit by bit. A change that an old reader would misread makes a new version.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TypeVar
+
+from estimators.base import Estimate
+from fieldloc.camera import Camera
+from fieldloc.errors import FieldlocError
+from fieldloc.field import FieldMap
+from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Odometry, Truth
+from logs.messages import camera, image, landmarks, motion
+from logs.messages.fields import BadField, JsonObject
+
+MESSAGE_ENCODING = "json"
+SCHEMA_ENCODING = "jsonschema"
+
+Stamped = Odometry | ImageFeatures | LandmarkScan | Compass | Truth | Estimate | InitialPose
+Record = Stamped | Camera | FieldMap
+R = TypeVar("R", bound=Record)
+
+_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+class BadMessage(FieldlocError):
+    """A message that does not hold what its schema promises. Names topic, stamp and field."""
+
+
+@dataclass(frozen=True, slots=True)
+class Schema:
+    """How one kind of record is written. Its role in a log is also the name of its usual topic."""
+
+    role: str
+    kind: type
+    version: int
+    json_schema: JsonObject
+    to_json: Callable[[Record], JsonObject]
+    from_json: Callable[[JsonObject], Record]
+
+    @property
+    def name(self) -> str:
+        """As MCAP's schema record has it: fieldloc.Odometry.v1."""
+        return f"fieldloc.{self.kind.__name__}.v{self.version}"
+
+    @property
+    def text(self) -> str:
+        """The JSON Schema as it stands in the file."""
+        head: JsonObject = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": self.name}
+        return json.dumps({**head, **self.json_schema}, indent=1)
+
+
+def _schema(
+    role: str,
+    kind: type[R],
+    json_schema: JsonObject,
+    to_json: Callable[[R], JsonObject],
+    from_json: Callable[[JsonObject], R],
+    version: int = 1,
+) -> Schema:
+    def checked(record: Record) -> JsonObject:
+        if not isinstance(record, kind):
+            raise ValueError(f"a {type(record).__name__} where a {kind.__name__} is needed")
+        return to_json(record)
+
+    return Schema(role, kind, version, json_schema, checked, from_json)
+
+
+SCHEMAS = (
+    _schema("odometry", Odometry, motion.ODOMETRY_SCHEMA, motion.odometry_to_json, motion.odometry_from_json),
+    _schema("camera", Camera, camera.CAMERA_SCHEMA, camera.camera_to_json, camera.camera_from_json),
+    _schema(
+        "image_features",
+        ImageFeatures,
+        image.IMAGE_FEATURES_SCHEMA,
+        image.image_features_to_json,
+        image.image_features_from_json,
+    ),
+    _schema(
+        "landmarks",
+        LandmarkScan,
+        landmarks.LANDMARK_SCAN_SCHEMA,
+        landmarks.landmark_scan_to_json,
+        landmarks.landmark_scan_from_json,
+    ),
+    _schema("compass", Compass, motion.COMPASS_SCHEMA, motion.compass_to_json, motion.compass_from_json),
+    _schema("truth", Truth, motion.TRUTH_SCHEMA, motion.truth_to_json, motion.truth_from_json),
+    _schema("estimate", Estimate, motion.ESTIMATE_SCHEMA, motion.estimate_to_json, motion.estimate_from_json),
+    _schema(
+        "initial_pose",
+        InitialPose,
+        motion.INITIAL_POSE_SCHEMA,
+        motion.estimate_to_json,
+        motion.initial_pose_from_json,
+    ),
+    _schema("field", FieldMap, landmarks.FIELD_MAP_SCHEMA, landmarks.field_map_to_json, landmarks.field_map_from_json),
+)
+BY_NAME: Mapping[str, Schema] = MappingProxyType({schema.name: schema for schema in SCHEMAS})
+BY_ROLE: Mapping[str, Schema] = MappingProxyType({schema.role: schema for schema in SCHEMAS})
+BY_KIND: Mapping[type, Schema] = MappingProxyType({schema.kind: schema for schema in SCHEMAS})
+TOPICS: Mapping[str, str] = MappingProxyType({schema.role: f"/{schema.role}" for schema in SCHEMAS})
+"""Where each role is written, and looked for unless told otherwise."""
+
+
+def topic_of(kind: type[R]) -> str:
+    """Where records of this kind are usually written."""
+    return TOPICS[BY_KIND[kind].role]
+
+
+def encode(record: Record) -> bytes:
+    """The record as JSON. ValueError for what a reader would refuse: NaN, infinity, no covariance, wrong shapes."""
+    schema = BY_KIND[type(record)]
+    data = schema.to_json(record)
+    schema.from_json(data)
+    return _ENCODER.encode(data).encode()
+
+
+def decode(schema: Schema, topic: str, data: bytes) -> Record:
+    """The record, exactly as it was encoded; BadMessage for anything that the schema does not allow."""
+    try:
+        parsed = json.loads(data)
+    except (ValueError, RecursionError):
+        raise BadMessage(f"{topic}: a message is not JSON, its schema {schema.name} needs it") from None
+    if type(parsed) is not dict:
+        raise BadMessage(f"{topic}: a message is not a JSON object, its schema {schema.name} needs one")
+    try:
+        return schema.from_json(parsed)
+    except BadField as error:
+        stamp = parsed.get("stamp_ns")
+        when = f" at {seconds(stamp)}" if type(stamp) is int else ""
+        raise BadMessage(f"{topic}{when}: {error} ({schema.name})") from None
+
+
+def seconds(stamp_ns: int) -> str:
+    """A stamp for people, exact to the nanosecond: '12.3 s'."""
+    whole, rest = divmod(abs(stamp_ns), 10**9)
+    digits = f"{rest:09d}".rstrip("0") or "0"
+    return f"{'-' if stamp_ns < 0 else ''}{whole}.{digits} s"
