@@ -42,6 +42,9 @@ class Estimator(Protocol):
     def predict(self, odometry: Odometry) -> None:
         """Move to the odometry's stamp with the velocity held until then; its own velocity is held from there."""
 
+    def advance(self, stamp_ns: int) -> None:
+        """Move to a stamp with the velocity that is held; a stamp in the past moves nothing."""
+
     def update(self, factor: Factor) -> Innovation | None:
         """Move to the factor's stamp and take it in; None while there is no estimate that it could correct."""
 

@@ -1,0 +1,63 @@
+"""The settings of all estimators in one frozen tree: the defaults that ship, the TOML file, what is stored with a result."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class MotionNoise:
+    """How far motion can be from what the odometry says, where its driver does not say so itself.
+
+    Each is the standard deviation after one unit of motion and grows with the square root of it: 0.05 m after 1 m
+    forward. A walking or wheeled robot on carpet; a robot whose odometry states its covariance does not need them.
+    """
+
+    forward_m_per_sqrt_m: float = 0.05
+    sideways_m_per_sqrt_m: float = 0.03
+    turn_rad_per_sqrt_rad: float = 0.05
+    turn_rad_per_sqrt_m: float = 0.05
+    idle_m_per_sqrt_s: float = 0.001
+    idle_rad_per_sqrt_s: float = 0.001
+    max_hold_s: float = 2.0
+    """A velocity is believed this long; after it the robot may do anything that the two below allow."""
+    silent_m_per_sqrt_s: float = 0.3
+    silent_rad_per_sqrt_s: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Robust:
+    """How factors that disagree with everything else are taken.
+
+    nis_per_dof: above this many times its expected value a factor counts as a partial outlier; its covariance is
+    widened in proportion, so that no factor is ever ignored for good.
+    restart_after: this many whole-pose factors in a row that disagree with the estimate and agree with each other
+    restart it there: it was wrong, or the robot was carried.
+    """
+
+    nis_per_dof: float = 4.0
+    restart_after: int = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Particles:
+    """count: particles. outlier_share: probability that a factor has nothing to do with the pose."""
+
+    count: int = 1000
+    outlier_share: float = 0.02
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Graph:
+    """node_interval_s: a pose at least this often, besides one at each factor. cauchy: scale of the robust kernel, in
+    sigmas of a factor."""
+
+    node_interval_s: float = 0.1
+    cauchy: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    motion: MotionNoise = field(default_factory=MotionNoise)
+    robust: Robust = field(default_factory=Robust)
+    particles: Particles = field(default_factory=Particles)
+    graph: Graph = field(default_factory=Graph)

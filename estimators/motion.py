@@ -1,0 +1,100 @@
+"""Odometry to motion: a velocity held between stamps, the motion it makes and how uncertain that is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimators.config import MotionNoise
+from fieldloc import pose as se2
+from fieldloc.measurements import Odometry
+from fieldloc.pose import FloatArray
+
+_MAX_GAP_S = 60.0  # a longer silence, or a clock that jumped, makes the pose no more unknown than this
+_MAX_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Increment:
+    """Motion over an interval: field_from_after = field_from_before @ before_from_after, off by a robot-frame tangent at
+    the end with that covariance (3, 3)."""
+
+    before_from_after: FloatArray
+    covariance: FloatArray
+
+    def then(self, other: "Increment") -> "Increment":
+        return Increment(
+            se2.compose(self.before_from_after, other.before_from_after),
+            self.carry(self.covariance, other.before_from_after) + other.covariance,
+        )
+
+    @staticmethod
+    def carry(covariance: FloatArray, before_from_after: FloatArray) -> FloatArray:
+        """A robot-frame covariance (3, 3) before a motion, as one after it."""
+        back = se2.adjoint(se2.inverse(before_from_after))
+        return np.asarray(back @ covariance @ back.T)
+
+
+STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)))
+
+
+class HeldVelocity:
+    """Turns odometry messages and the stamps at which the pose is asked for into increments.
+
+    Stamps that run backwards move nothing; an odometry message older than the last one is not used.
+    """
+
+    def __init__(self, noise: MotionNoise) -> None:
+        self._noise = noise
+        self._odometry: Odometry | None = None
+        self._period_s = 0.0
+        self.stamp_ns: int | None = None
+
+    def hold(self, odometry: Odometry) -> None:
+        """Believe this velocity from now on."""
+        if self._odometry is not None:
+            elapsed_s = (odometry.stamp_ns - self._odometry.stamp_ns) * 1e-9
+            if elapsed_s < 0.0:
+                return
+            self._period_s = min(elapsed_s, _MAX_PERIOD_S)
+        self._odometry = odometry
+
+    def advance(self, stamp_ns: int) -> Increment | None:
+        """The motion from the last stamp to this one; None if no time passes."""
+        before_ns, self.stamp_ns = self.stamp_ns, stamp_ns if self.stamp_ns is None else max(stamp_ns, self.stamp_ns)
+        if before_ns is None or stamp_ns <= before_ns:
+            return None
+        held_s = 0.0
+        if self._odometry is not None:
+            held_until_ns = self._odometry.stamp_ns + int(self._noise.max_hold_s * 1e9)
+            held_s = max(0, min(stamp_ns, held_until_ns) - before_ns) * 1e-9
+        silent_s = min((stamp_ns - before_ns) * 1e-9 - held_s, _MAX_GAP_S)
+        out = self._held(held_s) if held_s > 0.0 else STANDSTILL
+        return out if silent_s <= 1e-9 else out.then(self._silent(silent_s))
+
+    def _held(self, duration_s: float) -> Increment:
+        assert self._odometry is not None
+        velocity, stated = self._odometry.velocity, self._odometry.covariance
+        tangent = velocity * duration_s
+        # stated noise is drawn anew with each message: over a part of the period it counts in proportion
+        density = self._density(velocity) if stated is None else stated * (self._period_s or duration_s)
+        spread = se2.right_jacobian(tangent)
+        return Increment(se2.exp(tangent), spread @ density @ spread.T * duration_s)
+
+    def _density(self, velocity: FloatArray) -> FloatArray:
+        n = self._noise
+        forward, left, turn = velocity.tolist()
+        speed = (forward * forward + left * left) ** 0.5
+        idle_m2, idle_rad2 = n.idle_m_per_sqrt_s**2, n.idle_rad_per_sqrt_s**2
+        # sideways motion is as uncertain along its way as forward motion is
+        along2, across2 = n.forward_m_per_sqrt_m**2, n.sideways_m_per_sqrt_m**2
+        return np.diag(
+            [
+                along2 * abs(forward) + across2 * abs(left) + idle_m2,
+                along2 * abs(left) + across2 * abs(forward) + idle_m2,
+                n.turn_rad_per_sqrt_rad**2 * abs(turn) + n.turn_rad_per_sqrt_m**2 * speed + idle_rad2,
+            ]
+        )
+
+    def _silent(self, duration_s: float) -> Increment:
+        position, heading = self._noise.silent_m_per_sqrt_s**2, self._noise.silent_rad_per_sqrt_s**2
+        return Increment(np.zeros(3), np.diag([position, position, heading]) * duration_s)

@@ -1,0 +1,92 @@
+"""Measurements and a map to factors: an analytic fix where there is one, the observations themselves where not."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from fieldloc import pose as se2
+from fieldloc.association import Belief, associate, seen_in_robot
+from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, PoseFactor
+from fieldloc.field import FieldMap
+from fieldloc.fixes.landmarks import LandmarkFix, landmark_fix
+from fieldloc.measurements import Compass, InitialPose, LandmarkScan
+
+_MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFix
+# chance of a good scan to fail is one in ten thousand: chi-square at 2n - 3 degrees of freedom for n = 2, 3, ...
+_CHI2_LIMITS = (15.14, 21.11, 25.74, 29.88, 33.72, 37.37, 40.87, 44.26)
+
+
+class FactorBuilder:
+    """One for a log: knows the map, counts what it could not use.
+
+    unknown_landmarks: how often each label was seen that is not on the map.
+    """
+
+    def __init__(self, field: FieldMap) -> None:
+        self._field = field
+        self.unknown_landmarks: Counter[str] = Counter()
+
+    def build(self, measurement: LandmarkScan | Compass | InitialPose, belief: Belief | None) -> tuple[Factor, ...]:
+        """The factors of one measurement, of errors independent of each other.
+
+        belief: where the robot is thought to be at that moment; with it landmarks without a label find theirs.
+        """
+        match measurement:
+            case LandmarkScan():
+                return self._scan(measurement, belief)
+            case Compass():
+                variance = np.array([[measurement.sigma_rad**2]])
+                return (HeadingFactor(measurement.stamp_ns, measurement.heading_rad, variance),)
+            case InitialPose():
+                turned = se2.rotate_covariance(measurement.covariance, -measurement.pose[2])
+                return (PoseFactor(measurement.stamp_ns, measurement.pose, turned),)
+
+    def _scan(self, scan: LandmarkScan, belief: Belief | None) -> tuple[Factor, ...]:
+        on_map = self._on_map(scan, belief)
+        rows = [i for i, index in enumerate(on_map) if index is not None]
+        indices = [index for index in on_map if index is not None]
+        while len(rows) >= 2:
+            fix = self._fix(scan, rows, indices)
+            if fix is None or fix.nonlinearity > _MAX_NONLINEARITY:
+                break
+            if fix.chi2 < _CHI2_LIMITS[min(len(rows) - 2, len(_CHI2_LIMITS) - 1)]:
+                return (PoseFactor.from_fix(scan.stamp_ns, fix),)
+            if len(rows) == 2:  # one is wrong, but which?
+                break
+            worst = int(np.argmax(fix.chi2_each))
+            del rows[worst], indices[worst]
+        return self._landmarks(scan, rows, indices)
+
+    def _on_map(self, scan: LandmarkScan, belief: Belief | None) -> list[int | None]:
+        """The map index of each landmark of a scan, None where it is not known."""
+        out: list[int | None] = []
+        for label in scan.labels:
+            index = None if label is None else self._field.index_of(label)
+            if label is not None and index is None:
+                self.unknown_landmarks[label] += 1
+            out.append(index)
+        if belief is not None and None in scan.labels:
+            taken = frozenset(index for index in out if index is not None)
+            for row, index in associate(scan, self._field, belief, taken).items():
+                out[row] = index
+        return out
+
+    def _fix(self, scan: LandmarkScan, rows: Sequence[int], indices: Sequence[int]) -> LandmarkFix | None:
+        fixes = landmark_fix(
+            self._field.positions[indices],
+            scan.range_bearing[rows],
+            scan.covariance[rows],
+            self._field.positions_covariance[indices],
+            scan.robot_from_sensor,
+        )
+        return fixes[0] if fixes else None
+
+    def _landmarks(self, scan: LandmarkScan, rows: Sequence[int], indices: Sequence[int]) -> tuple[Factor, ...]:
+        seen, covariance = seen_in_robot(scan)
+        # the map's error turns with the unknown heading: its largest in all directions
+        survey = np.linalg.eigvalsh(self._field.positions_covariance[indices])[:, -1]
+        return tuple(
+            LandmarkFactor(scan.stamp_ns, self._field.positions[index], seen[row], covariance[row] + s * np.eye(2))
+            for row, index, s in zip(rows, indices, survey, strict=True)
+        )
