@@ -1,0 +1,182 @@
+"""Range and bearing to identified landmarks as least squares, by scalars.
+
+The unknowns are where the landmarks' middle lies in the sensor's frame, and the sensor's heading: range and bearing are
+nearly linear in these, while the position in the field swings on an arc when the heading is uncertain. A scan has a
+handful of landmarks, and at that size plain floats are several times faster than small arrays.
+
+Sources: the closed-form start is the two-dimensional case of Arun, Huang & Blostein 1987 (rigid alignment of two point
+sets), weighted, in complex numbers; errors of the surveyed positions enter as in Krotkov 1989, propagated to the
+observation to first order.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+_MAX_ITERATIONS = 20  # two do, unless the geometry is bad
+_CONVERGED = 1e-9  # squared length of the last step in its own sigmas; what is left of it is smaller still
+
+
+class Sight(NamedTuple):
+    """One landmark: its place, from the landmarks' middle, and the covariance of it; what was seen, and that of it."""
+
+    x: float
+    y: float
+    xx: float
+    xy: float
+    yy: float
+    range_m: float
+    bearing_rad: float
+    rr: float
+    rb: float
+    bb: float
+
+
+State = tuple[float, float, float]
+"""The landmarks' middle in the sensor's frame (x, y), heading of the sensor."""
+Symmetric = tuple[float, float, float, float, float, float]
+"""Upper triangle of a symmetric 3x3 matrix by rows."""
+
+
+class Equations(NamedTuple):
+    """Normal equations a step = g at a state."""
+
+    chi2: float
+    log_det: float
+    a: Symmetric
+    g: tuple[float, float, float]
+
+
+def rigid_alignment(sights: Sequence[Sight]) -> State:
+    """The state that best lays the landmarks onto the points seen, each point equally certain in all directions."""
+    weights = [1.0 / (s.rr + s.range_m**2 * s.bb + s.xx + s.yy) for s in sights]
+    seen = [s.range_m * complex(math.cos(s.bearing_rad), math.sin(s.bearing_rad)) for s in sights]
+    there = [complex(s.x, s.y) for s in sights]
+    total = sum(weights)
+    seen_middle = sum(w * q for w, q in zip(weights, seen, strict=True)) / total
+    there_middle = sum(w * z for w, z in zip(weights, there, strict=True)) / total
+    turn = sum(
+        w * (z - there_middle) * (q - seen_middle).conjugate() for w, z, q in zip(weights, there, seen, strict=True)
+    )
+    heading = math.atan2(turn.imag, turn.real)
+    centre = seen_middle - complex(math.cos(heading), -math.sin(heading)) * there_middle
+    return centre.real, centre.imag, heading
+
+
+def minimise(state: State, sights: Sequence[Sight]) -> tuple[State, Equations] | None:
+    """Gauss-Newton with step halving; None where it does not converge or a direction stays unknown."""
+    at = equations(state, sights)
+    for _ in range(_MAX_ITERATIONS):
+        p = inverse(at.a)
+        if p is None:
+            return None
+        g = at.g
+        step = (
+            p[0] * g[0] + p[1] * g[1] + p[2] * g[2],
+            p[1] * g[0] + p[3] * g[1] + p[4] * g[2],
+            p[2] * g[0] + p[4] * g[1] + p[5] * g[2],
+        )
+        decrease = step[0] * g[0] + step[1] * g[1] + step[2] * g[2]
+        scale = 1.0
+        while True:
+            ahead = (state[0] + scale * step[0], state[1] + scale * step[1], state[2] + scale * step[2])
+            at_ahead = equations(ahead, sights)
+            if decrease < _CONVERGED:
+                return ahead, at_ahead
+            # map errors make the weights depend on the state, so that chi2 may rise a little on the way
+            if at_ahead.chi2 <= at.chi2 * 1.01 + 1e-9:
+                break
+            scale *= 0.5
+            if scale < 1e-3:
+                return None
+        state, at = ahead, at_ahead
+    return None
+
+
+def _seen_from(state: State, s: Sight) -> tuple[float, float, float, float, float, float, float, float]:
+    """What a state says of one landmark: range_m and bearing_rad; then u and v, the derivatives of range and bearing by
+    the point (x, y) in the sensor's frame; then that point's derivative by the heading."""
+    c, sine = math.cos(state[2]), math.sin(state[2])
+    across_x, across_y = c * s.x + sine * s.y, c * s.y - sine * s.x
+    qx, qy = state[0] + across_x, state[1] + across_y
+    d = math.hypot(qx, qy) or 1e-12  # on the landmark: any direction will do
+    ux, uy = qx / d, qy / d
+    return d, math.atan2(qy, qx), ux, uy, -uy / d, ux / d, across_y, -across_x
+
+
+def _noise(state: State, s: Sight, ux: float, uy: float, vx: float, vy: float) -> tuple[float, float, float]:
+    """Covariance (rr, rb, bb) of the residual: the sensor's, and the map's turned into the sensor's frame."""
+    if s.xx == 0.0 == s.yy:
+        return s.rr, s.rb, s.bb
+    c, sine = math.cos(state[2]), math.sin(state[2])
+    ux, uy, vx, vy = c * ux - sine * uy, sine * ux + c * uy, c * vx - sine * vy, sine * vx + c * vy
+    return (
+        s.rr + ux * ux * s.xx + 2.0 * ux * uy * s.xy + uy * uy * s.yy,
+        s.rb + ux * vx * s.xx + (ux * vy + uy * vx) * s.xy + uy * vy * s.yy,
+        s.bb + vx * vx * s.xx + 2.0 * vx * vy * s.xy + vy * vy * s.yy,
+    )
+
+
+def equations(state: State, sights: Sequence[Sight]) -> Equations:
+    """Sum over the landmarks of J^T W J and J^T W e, W the inverse covariance of the residual e = seen - expected."""
+    chi2 = log_det = a00 = a01 = a02 = a11 = a12 = a22 = g0 = g1 = g2 = 0.0
+    for s in sights:
+        d, direction, ux, uy, vx, vy, tx, ty = _seen_from(state, s)
+        error_range, error_bearing = s.range_m - d, math.remainder(s.bearing_rad - direction, math.tau)
+        rr, rb, bb = _noise(state, s, ux, uy, vx, vy)
+        det = rr * bb - rb * rb
+        wrr, wrb, wbb = bb / det, -rb / det, rr / det
+        # J = [[ux, uy, uh], [vx, vy, vh]]
+        uh, vh = ux * tx + uy * ty, vx * tx + vy * ty
+        weighted_range = wrr * error_range + wrb * error_bearing
+        weighted_bearing = wrb * error_range + wbb * error_bearing
+        chi2 += error_range * weighted_range + error_bearing * weighted_bearing
+        log_det += math.log(det)
+        wu_x, wv_x = wrr * ux + wrb * vx, wrb * ux + wbb * vx
+        wu_y, wv_y = wrr * uy + wrb * vy, wrb * uy + wbb * vy
+        a00 += ux * wu_x + vx * wv_x
+        a01 += uy * wu_x + vy * wv_x
+        a02 += uh * wu_x + vh * wv_x
+        a11 += uy * wu_y + vy * wv_y
+        a12 += uh * wu_y + vh * wv_y
+        a22 += uh * (wrr * uh + wrb * vh) + vh * (wrb * uh + wbb * vh)
+        g0 += ux * weighted_range + vx * weighted_bearing
+        g1 += uy * weighted_range + vy * weighted_bearing
+        g2 += uh * weighted_range + vh * weighted_bearing
+    return Equations(chi2, log_det, (a00, a01, a02, a11, a12, a22), (g0, g1, g2))
+
+
+def inverse(a: Symmetric) -> Symmetric | None:
+    """None where the matrix is singular to rounding."""
+    a00, a01, a02, a11, a12, a22 = a
+    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    det = a00 * c00 + a01 * c01 + a02 * c02
+    if not det > 1e-13 * a00 * a11 * a22:
+        return None
+    c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    return c00 / det, c01 / det, c02 / det, c11 / det, c12 / det, c22 / det
+
+
+def chi2_each(state: State, p: Symmetric, chi2: float, sights: Sequence[Sight]) -> list[float]:
+    """e^T (S - J P J^T)^-1 e per landmark: to first order what chi2 loses without it."""
+    if len(sights) == 2:
+        return [chi2, chi2]
+    p00, p01, p02, p11, p12, p22 = p
+    out = []
+    for s in sights:
+        d, direction, ux, uy, vx, vy, tx, ty = _seen_from(state, s)
+        error_range, error_bearing = s.range_m - d, math.remainder(s.bearing_rad - direction, math.tau)
+        rr, rb, bb = _noise(state, s, ux, uy, vx, vy)
+        uh, vh = ux * tx + uy * ty, vx * tx + vy * ty
+        pu = (p00 * ux + p01 * uy + p02 * uh, p01 * ux + p11 * uy + p12 * uh, p02 * ux + p12 * uy + p22 * uh)
+        pv = (p00 * vx + p01 * vy + p02 * vh, p01 * vx + p11 * vy + p12 * vh, p02 * vx + p12 * vy + p22 * vh)
+        left_rr = rr - (ux * pu[0] + uy * pu[1] + uh * pu[2])
+        left_rb = rb - (vx * pu[0] + vy * pu[1] + vh * pu[2])
+        left_bb = bb - (vx * pv[0] + vy * pv[1] + vh * pv[2])
+        det = left_rr * left_bb - left_rb * left_rb
+        if det > 1e-9 * rr * bb:
+            cross = error_range * error_bearing
+            out.append((left_bb * error_range**2 - 2.0 * left_rb * cross + left_rr * error_bearing**2) / det)
+        else:  # the others do not determine the pose
+            out.append(chi2)
+    return out
