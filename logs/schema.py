@@ -116,7 +116,10 @@ def encode(record: Record) -> bytes:
     """The record as JSON. ValueError for what a reader would refuse: NaN, infinity, no covariance, wrong shapes."""
     schema = BY_KIND[type(record)]
     data = schema.to_json(record)
-    schema.from_json(data)
+    try:
+        schema.from_json(data)
+    except BadField as error:
+        raise ValueError(f"{schema.name}{_when(data)}: {error}") from None
     return _ENCODER.encode(data).encode()
 
 
@@ -131,9 +134,7 @@ def decode(schema: Schema, topic: str, data: bytes) -> Record:
     try:
         return schema.from_json(parsed)
     except BadField as error:
-        stamp = parsed.get("stamp_ns")
-        when = f" at {seconds(stamp)}" if type(stamp) is int else ""
-        raise BadMessage(f"{topic}{when}: {error} ({schema.name})") from None
+        raise BadMessage(f"{topic}{_when(parsed)}: {error} ({schema.name})") from None
 
 
 def seconds(stamp_ns: int) -> str:
@@ -141,3 +142,8 @@ def seconds(stamp_ns: int) -> str:
     whole, rest = divmod(abs(stamp_ns), 10**9)
     digits = f"{rest:09d}".rstrip("0") or "0"
     return f"{'-' if stamp_ns < 0 else ''}{whole}.{digits} s"
+
+
+def _when(data: JsonObject) -> str:
+    stamp = data.get("stamp_ns")
+    return f" at {seconds(stamp)}" if type(stamp) is int else ""

@@ -36,11 +36,11 @@ def camera_to_json(record: Camera) -> JsonObject:
         "model": record.model,
         "width_px": record.width_px,
         "height_px": record.height_px,
-        "fx_px": record.fx_px,
-        "fy_px": record.fy_px,
-        "cx_px": record.cx_px,
-        "cy_px": record.cy_px,
-        "distortion": list(record.distortion),
+        "fx_px": float(record.fx_px),
+        "fy_px": float(record.fy_px),
+        "cx_px": float(record.cx_px),
+        "cy_px": float(record.cy_px),
+        "distortion": [float(x) for x in record.distortion],
     }
 
 

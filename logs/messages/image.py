@@ -55,7 +55,7 @@ IMAGE_FEATURES_SCHEMA = object_schema(
 
 def image_features_to_json(record: ImageFeatures) -> JsonObject:
     return {
-        "stamp_ns": record.stamp_ns,
+        "stamp_ns": int(record.stamp_ns),
         "mount": _mount_to_json(record.mount),
         "posts": [_post_to_json(post) for post in record.posts],
         "lines": [
@@ -71,12 +71,12 @@ def image_features_from_json(data: JsonObject) -> ImageFeatures:
 
 def _mount_to_json(mount: CameraMount) -> JsonObject:
     return {
-        "x_m": mount.x_m,
-        "y_m": mount.y_m,
-        "height_m": mount.height_m,
-        "pan_rad": mount.pan_rad,
-        "tilt_rad": mount.tilt_rad,
-        "roll_rad": mount.roll_rad,
+        "x_m": float(mount.x_m),
+        "y_m": float(mount.y_m),
+        "height_m": float(mount.height_m),
+        "pan_rad": float(mount.pan_rad),
+        "tilt_rad": float(mount.tilt_rad),
+        "roll_rad": float(mount.roll_rad),
         "covariance": mount.covariance.tolist(),
     }
 

@@ -69,7 +69,7 @@ FIELD_MAP_SCHEMA = object_schema(
 def landmark_scan_to_json(record: LandmarkScan) -> JsonObject:
     seen = zip(record.labels, record.range_bearing.tolist(), record.covariance.tolist(), strict=True)
     return {
-        "stamp_ns": record.stamp_ns,
+        "stamp_ns": int(record.stamp_ns),
         "robot_from_sensor": pose_to_json(record.robot_from_sensor),
         "landmarks": [
             {"label": label, "range_m": r, "bearing_rad": b, "covariance": matrix} for label, (r, b), matrix in seen
@@ -96,7 +96,7 @@ def _seen_from_json(data: JsonObject) -> tuple[str | None, tuple[float, float], 
 def field_map_to_json(record: FieldMap) -> JsonObject:
     return {
         "name": record.name,
-        "line_width_m": record.line_width_m,
+        "line_width_m": float(record.line_width_m),
         "lines_m": record.lines.tolist(),
         "circles_m": record.circles.tolist(),
         "landmarks": [_landmark_to_json(landmark) for landmark in record.landmarks],
@@ -123,7 +123,7 @@ def _landmark_to_json(landmark: Landmark) -> JsonObject:
         "label": landmark.label,
         "x_m": x,
         "y_m": y,
-        "diameter_m": landmark.diameter_m,
+        "diameter_m": float(landmark.diameter_m),
         "covariance_m2": landmark.covariance.tolist(),
     }
 

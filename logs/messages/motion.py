@@ -51,7 +51,7 @@ INITIAL_POSE_SCHEMA = object_schema(
 def odometry_to_json(record: Odometry) -> JsonObject:
     forward, left, turn = record.velocity.tolist()
     return {
-        "stamp_ns": record.stamp_ns,
+        "stamp_ns": int(record.stamp_ns),
         "forward_mps": forward,
         "left_mps": left,
         "turn_radps": turn,
@@ -65,7 +65,11 @@ def odometry_from_json(data: JsonObject) -> Odometry:
 
 
 def compass_to_json(record: Compass) -> JsonObject:
-    return {"stamp_ns": record.stamp_ns, "heading_rad": record.heading_rad, "sigma_rad": record.sigma_rad}
+    return {
+        "stamp_ns": int(record.stamp_ns),
+        "heading_rad": float(record.heading_rad),
+        "sigma_rad": float(record.sigma_rad),
+    }
 
 
 def compass_from_json(data: JsonObject) -> Compass:
@@ -73,7 +77,7 @@ def compass_from_json(data: JsonObject) -> Compass:
 
 
 def truth_to_json(record: Truth) -> JsonObject:
-    return {"stamp_ns": record.stamp_ns, **pose_to_json(record.pose)}
+    return {"stamp_ns": int(record.stamp_ns), **pose_to_json(record.pose)}
 
 
 def truth_from_json(data: JsonObject) -> Truth:
@@ -82,7 +86,7 @@ def truth_from_json(data: JsonObject) -> Truth:
 
 def estimate_to_json(record: Estimate | InitialPose) -> JsonObject:
     pose = pose_to_json(record.pose)
-    return {"stamp_ns": record.stamp_ns, **pose, "covariance": record.covariance.tolist()}
+    return {"stamp_ns": int(record.stamp_ns), **pose, "covariance": record.covariance.tolist()}
 
 
 def estimate_from_json(data: JsonObject) -> Estimate:

@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 from typing import IO
 
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE, SeekingReader
+from mcap.reader import SeekingReader
 from mcap.records import Channel, McapRecord, Message, Metadata, Schema
 
-from logs.reader.records import DAMAGE, MAGIC, Span, read, spans
+from logs.reader.records import DAMAGE, MAGIC, Span, has_sound_summary, read, spans
 from logs.schema import seconds
 
-_SMALLEST = len(MAGIC) + FOOTER_SIZE + len(MAGIC)  # bytes of a file that can have a summary
 _RUN_BYTES = 1 << 18  # messages outside chunks are read in runs of about this size
 
 
@@ -56,7 +55,7 @@ class Index:
 
 def index(file: IO[bytes], size: int) -> Index:
     """The file's contents; never fails on a file that begins with MCAP's magic number."""
-    summary = _from_summary(file, size) if size >= _SMALLEST else None
+    summary = _from_summary(file, size) if has_sound_summary(file, size) else None
     return summary if summary is not None else _from_records(file, size)
 
 

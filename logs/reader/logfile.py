@@ -85,6 +85,11 @@ class LogFile:
             out.append(f"{self.path}: {skipped.count} of {total} messages left out, the first: {skipped.first}")
         return tuple(out)
 
+    def role(self, source: Source) -> str | None:
+        """What the channel's messages are to fieldloc: a key of logs.schema.TOPICS, or None."""
+        role = next((role for role, topic in self.roles.items() if topic == source.topic), None)
+        return role if role is not None and _schema(source) is BY_ROLE[role] else None
+
     def problem(self, source: Source) -> str | None:
         """Why a topic that has a role cannot play it, or None."""
         role = next((role for role, topic in self.roles.items() if topic == source.topic), None)
@@ -131,6 +136,13 @@ class LogFile:
         if not any(self._index.counts.get(number) for number in wanted):
             raise FieldlocError(f"{self.path}: {self._nothing(topics)}")
         return self._decoded(wanted)
+
+    def log_times(self) -> Iterator[tuple[Source, int]]:
+        """Log time of every message on every channel, decoded by nobody, in the order of log time."""
+        sources = self._index.sources
+        with _open(self.path) as file:
+            for raw in in_time_order(file, self._index.blocks, sources.keys()):
+                yield sources[raw.channel_id], raw.log_time
 
     def _decoded(self, wanted: Mapping[int, tuple[str, Schema]]) -> Iterator[Message]:
         for topic, _ in wanted.values():

@@ -5,6 +5,7 @@ number again (https://mcap.dev/spec). Walking the lengths never reads beyond the
 """
 
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -13,6 +14,7 @@ from typing import IO
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import FOOTER_SIZE
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 from zstandard import ZstdError
@@ -22,6 +24,7 @@ DAMAGE = (McapError, ZstdError, struct.error, ValueError, KeyError, OverflowErro
 """What mcap and its decompressors raise on damaged bytes (a failed CRC is a ValueError, lz4's is a RuntimeError)."""
 
 _HEAD = struct.Struct("<BQ")
+_FOOTER = struct.Struct("<BQQQI")  # head, start of the summary, start of its offsets, CRC
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,19 @@ def spans(file: IO[bytes], start: int, end: int) -> Iterator[Span]:
         span = Span(opcode, start, start + _HEAD.size + length)
         yield span
         start = span.end
+
+
+def has_sound_summary(file: IO[bytes], size: int) -> bool:
+    """Whether the file ends as a finished one does, with a summary whose CRC, if it has one, is right."""
+    if size < len(MAGIC) + FOOTER_SIZE + len(MAGIC):
+        return False
+    file.seek(size - FOOTER_SIZE - len(MAGIC))
+    opcode, _, start, _, expected = _FOOTER.unpack(file.read(FOOTER_SIZE))
+    if file.read(len(MAGIC)) != MAGIC or opcode != Opcode.FOOTER or not 0 < start < size:
+        return False
+    file.seek(start)
+    checked = file.read(size - start - len(MAGIC) - 4)  # all but the CRC itself
+    return expected in (0, zlib.crc32(checked))
 
 
 def read(file: IO[bytes], span: Span) -> list[McapRecord]:
