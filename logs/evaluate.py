@@ -55,7 +55,11 @@ def match(estimate: Trajectory, truth: Trajectory, max_difference_s: float = DEF
 
 def evaluate(estimate: Trajectory, truth: Trajectory, max_difference_s: float = DEFAULT_MAX_DIFFERENCE_S) -> Metrics:
     """All metrics of an estimate. FieldlocError when no estimate lies within max_difference_s of a true pose."""
-    errors = match(estimate, truth, max_difference_s)
+    return evaluate_errors(match(estimate, truth, max_difference_s), estimate, truth)
+
+
+def evaluate_errors(errors: Errors, estimate: Trajectory, truth: Trajectory) -> Metrics:
+    """As `evaluate`, from the errors that `match` found between the two."""
     return Metrics(
         ate_m=_statistics(np.hypot(errors.error[:, 0], errors.error[:, 1])),
         heading_rad=_statistics(np.abs(errors.error[:, 2])),
