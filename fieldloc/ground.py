@@ -55,7 +55,7 @@ def ground_jacobians(camera: Camera, mount: CameraMount, pixels: FloatArray) -> 
     to_direction[..., 2] = from_foot
     to_direction *= (mount.height_m / down)[..., None, None]
     to_pixel = to_direction @ (rotation @ ray_to_pixel)
-    turns = np.cross(attitude_axes(mount), directions[..., None, :])
+    turns = cross(attitude_axes(mount), directions[..., None, :])
     to_mount = np.concatenate([from_foot[..., None], to_direction @ np.swapaxes(turns, -1, -2)], axis=-1)
     return to_pixel, to_mount
 
@@ -83,6 +83,13 @@ def project_points(camera: Camera, mount: CameraMount, points_in_robot: FloatArr
     """Pixels (..., 2) of robot-frame points (..., 3), z up from the ground, and whether they are on the image."""
     centre = np.array([mount.x_m, mount.y_m, mount.height_m])
     return camera.project((points_in_robot - centre) @ robot_from_camera(mount))
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products (..., 3), broadcast; numpy's own takes twice as long on the few vectors of an image."""
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    u, v, w = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
 def block_diagonal(blocks: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from fieldloc.measurements import CameraMount
 from fieldloc.pose import FloatArray
 
 _SAMPLES = 257  # per line: a visible part shorter than 1/256 of its line may be missed
-_HALVINGS = 50  # 1/256 halved fifty times is below the rounding of the end points
+_HALVINGS = 46  # 1/256 halved so often is below the rounding of the end points
 
 
 def visible_parts(
@@ -34,15 +34,13 @@ def visible_parts(
     _, behind_last = np.nonzero(np.diff(padded, axis=1) < 0)
     last = behind_last - 1
 
-    def border(inside: NDArray[np.intp], outside: NDArray[np.intp]) -> FloatArray:
-        """The share at which sight ends between two neighbouring samples; the sample itself at the segment's end."""
-        beyond = (outside < 0) | (outside >= _SAMPLES)
-        good, bad = shares[inside], shares[np.clip(outside, 0, _SAMPLES - 1)]
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (good + bad)
-            is_good = visible(index, middle)
-            good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
-        return np.where(beyond, shares[inside], good)
-
-    ends = np.stack([border(first, first - 1), border(last, last + 1)], axis=-1)
-    return start[index][:, None] + ends[..., None] * along[index][:, None], index
+    # sight ends between the outermost visible sample and its neighbour, or with the segment
+    good = shares[np.concatenate([first, last])]
+    bad = shares[np.concatenate([np.maximum(first - 1, 0), np.minimum(last + 1, _SAMPLES - 1)])]
+    both = np.tile(index, 2)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (good + bad)
+        inside = visible(both, middle)
+        good, bad = np.where(inside, middle, good), np.where(inside, bad, middle)
+    ends = good.reshape(2, -1, 1)
+    return np.stack([start[index] + share * along[index] for share in ends], axis=1), index

@@ -12,7 +12,7 @@ unknown, so the robot's heading follows modulo 90 degrees only. The horizon is t
 import numpy as np
 
 from fieldloc.camera import Camera
-from fieldloc.ground import attitude_axes, robot_from_camera
+from fieldloc.ground import attitude_axes, cross, robot_from_camera
 from fieldloc.lens import Mask
 from fieldloc.measurements import CameraMount
 from fieldloc.pose import FloatArray
@@ -43,7 +43,7 @@ def bearing_of_vanishing_point(
     if not exists or level2 < 1e-24:  # straight down or up: every bearing
         return None
     to_direction = np.array([-y, x, 0.0]) / level2
-    to_attitude = np.cross(attitude_axes(mount), rotation @ ray) @ to_direction
+    to_attitude = cross(attitude_axes(mount), rotation @ ray) @ to_direction
     return float(np.arctan2(y, x)), to_direction @ rotation @ ray_to_pixel, np.concatenate([[0.0], to_attitude])
 
 
@@ -53,7 +53,7 @@ def vanishing_ray(segment_rays: FloatArray) -> FloatArray | None:
     Needs no attitude: it is the direction most nearly in all the planes through the camera and a line, and points to
     the front. None where the planes coincide or one line stands alone: no direction stands out.
     """
-    normals = np.cross(segment_rays[:, 0], segment_rays[:, 1])
+    normals = cross(segment_rays[:, 0], segment_rays[:, 1])
     lengths = np.linalg.norm(normals, axis=-1)
     normals = normals[lengths > 0] / lengths[lengths > 0, None]
     if len(normals) < 2 or not np.isfinite(normals).all():

@@ -1,0 +1,208 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fieldloc.camera import Camera
+from fieldloc.field import load_field
+from fieldloc.fixes.line_segments import modulo_quarter
+from fieldloc.fixes.lines import GroundLines, lines_on_the_ground
+from fieldloc.ground import project_points, robot_ground_points
+from fieldloc.measurements import CameraMount, LineObservation
+from fieldloc.pose import FloatArray, apply, inverse
+from fieldloc.view import visible_parts
+
+CAMERA = Camera("pinhole", 640, 480, 450.0, 450.0, 319.5, 239.5, (-0.2, 0.05, 0.001, -0.001))
+FISHEYE = Camera("fisheye", 640, 480, 220.0, 220.0, 319.5, 239.5, (0.05, -0.01, 0.0, 0.0))
+LINES = load_field("spl").lines
+POSE = np.array([1.3, -0.7, 0.4])
+MOUNT_AT = np.array([0.5, 0.3, 0.35, 0.05])
+NOISE = np.diag([0.01, 0.01, 0.01, 0.01]) ** 2
+EXACT = np.zeros((4, 4))
+
+
+def mount_at(parameters: FloatArray, covariance: FloatArray) -> CameraMount:
+    height, pan, tilt, roll = (float(p) for p in parameters)
+    return CameraMount(height, pan, tilt, roll, covariance, x_m=0.05, y_m=0.01)
+
+
+def observation(ends_px: FloatArray, sigma_px: float) -> LineObservation:
+    return LineObservation(ends_px, sigma_px**2 * np.eye(4))
+
+
+def image_of(camera: Camera, mount: CameraMount, pose: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Ends (n, 2, 2) in pixels of the field lines longer than 20 px, and which lines they are."""
+    parts, index = visible_parts(camera, mount, apply(inverse(pose), LINES))
+    pixels, _ = project_points(camera, mount, np.pad(parts, ((0, 0), (0, 0), (0, 1))))
+    long = np.linalg.norm(pixels[:, 0] - pixels[:, 1], axis=-1) > 20.0
+    return pixels[long], index[long]
+
+
+def true_lines(lines: GroundLines, pose: FloatArray, seen: FloatArray) -> FloatArray:
+    """(1 + n,) the bearing and signed distances that an exact observer would report of the field lines (n, 2, 2)."""
+    quarter = np.pi / 2 * np.rint((pose[2] + lines.bearing_rad) / (np.pi / 2))
+    bearing = quarter - pose[2]
+    turned = apply(np.array([0.0, 0.0, -bearing]), apply(inverse(pose), seen))
+    constant = np.where((lines.families == 0)[:, None], turned[..., 1], turned[..., 0])
+    np.testing.assert_allclose(constant[:, 0], constant[:, 1], atol=1e-12)  # every line runs along its family
+    return np.concatenate([[bearing], constant[:, 0]])
+
+
+def seen_from(pose: FloatArray, mount: CameraMount, camera: Camera = CAMERA) -> tuple[GroundLines, FloatArray]:
+    ends, index = image_of(camera, mount, pose)
+    lines = lines_on_the_ground(camera, mount, tuple(observation(e, 0.5) for e in ends))
+    assert lines is not None
+    return lines, LINES[index[lines.observed]]
+
+
+@pytest.mark.parametrize("camera", [CAMERA, FISHEYE])
+@pytest.mark.parametrize("noise", [NOISE, EXACT])
+@pytest.mark.parametrize("heading", np.linspace(-3.0, 3.0, 7))
+def test_an_exact_image_gives_the_exact_lines(camera: Camera, noise: FloatArray, heading: float) -> None:
+    pose = np.array([POSE[0], POSE[1], heading])
+    mount = mount_at(MOUNT_AT, noise)
+    lines, seen = seen_from(pose, mount, camera)
+    assert len(seen) >= 2
+    found = np.concatenate([[lines.bearing_rad], lines.distances_m])
+    np.testing.assert_allclose(found, true_lines(lines, pose, seen), atol=1e-9)
+    assert lines.chi_square < 1e-12
+    assert np.linalg.eigvalsh(lines.covariance)[0] > 0
+    assert abs(lines.bearing_rad) <= np.pi / 4 + 1e-9
+    turned = apply(np.array([0.0, 0.0, -lines.bearing_rad]), apply(inverse(pose), seen))
+    along = np.where((lines.families == 0)[:, None], turned[..., 0], turned[..., 1])
+    assert (lines.extents_m[:, 0] < lines.extents_m[:, 1]).all()
+    assert (lines.extents_m[:, 0] > along.min(axis=1) - 1e-9).all()
+    assert (lines.extents_m[:, 1] < along.max(axis=1) + 1e-9).all()
+
+
+def test_the_covariance_is_the_spread_of_images_with_pixel_and_attitude_noise() -> None:
+    rng = np.random.default_rng(5)
+    sigma_px, count = 0.7, 600
+    mount = mount_at(MOUNT_AT, NOISE)
+    ends, index = image_of(CAMERA, mount, POSE)
+    ground, _ = robot_ground_points(CAMERA, mount, ends)
+    size = 1 + len(index)
+    errors = []
+    for parameters in rng.multivariate_normal(MOUNT_AT, NOISE, count):
+        moved, _ = project_points(CAMERA, mount_at(parameters, NOISE), np.pad(ground, ((0, 0), (0, 0), (0, 1))))
+        noisy = tuple(observation(e + rng.normal(0.0, sigma_px, e.shape), sigma_px) for e in moved)
+        lines = lines_on_the_ground(CAMERA, mount, noisy)
+        assert lines is not None
+        if len(lines.observed) == size - 1:
+            error = np.concatenate([[lines.bearing_rad], lines.distances_m]) - true_lines(lines, POSE, LINES[index])
+            errors.append(np.linalg.solve(np.linalg.cholesky(lines.covariance), error))
+    assert len(errors) > 0.9 * count
+    # standard deviation of a sampled variance: sqrt(2 / 600) = 6 %, so four of them; of the mean 1 / sqrt(600) = 4 %
+    np.testing.assert_allclose(np.cov(np.array(errors).T), np.eye(size), atol=0.25)
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=0.2)
+
+
+def test_lines_of_one_image_share_the_error_of_the_mount() -> None:
+    lines, _ = seen_from(POSE, mount_at(MOUNT_AT, NOISE))
+    sigma = np.sqrt(np.diagonal(lines.covariance))
+    correlation = lines.covariance / np.outer(sigma, sigma)
+    assert np.abs(correlation - np.eye(len(sigma))).max() > 0.5
+    exact, _ = seen_from(POSE, mount_at(MOUNT_AT, EXACT))
+    assert (np.sqrt(np.diagonal(exact.covariance)) < sigma).all()
+    pan_only, _ = seen_from(POSE, mount_at(MOUNT_AT, np.diag([0.0, 0.01**2, 0.0, 0.0])))
+    np.testing.assert_allclose(pan_only.covariance[0, 0] - exact.covariance[0, 0], 0.01**2, rtol=1e-9)
+
+
+def test_parallel_lines_that_look_skewed_correct_the_tilt() -> None:
+    tilted = MOUNT_AT + np.array([0.0, 0.0, 0.02, 0.0])  # two standard deviations
+    loose = np.diag([0.001, 0.001, 0.02, 0.001]) ** 2
+    ends, index = image_of(CAMERA, mount_at(tilted, loose), POSE)
+    lines = lines_on_the_ground(CAMERA, mount_at(MOUNT_AT, loose), tuple(observation(e, 0.1) for e in ends))
+    assert lines is not None
+    together = lines.distances_m - true_lines(lines, POSE, LINES[index[lines.observed]])[1:]
+    for i, n in enumerate(lines.observed):
+        alone = lines_on_the_ground(CAMERA, mount_at(MOUNT_AT, loose), (observation(ends[n], 0.1),))
+        assert alone is not None
+        wrong = alone.distances_m - true_lines(alone, POSE, LINES[index[[n]]])[1:]
+        assert abs(together[i]) < 0.2 * abs(wrong[0]) + 1e-3
+
+
+def test_lines_of_neither_family_are_left_out() -> None:
+    rng = np.random.default_rng(8)
+    mount = mount_at(MOUNT_AT, NOISE)
+    ends, _ = image_of(CAMERA, mount, POSE)
+    directions = np.array([0.4, 0.7, 1.1]) + modulo_quarter(-POSE[2])  # at least 23 degrees from both families
+    clutter = []
+    for direction in directions:
+        middle = np.array([1.6, 0.4]) + rng.uniform(-0.3, 0.3, 2)
+        half = 0.4 * np.array([np.cos(direction), np.sin(direction)])
+        points = np.pad(np.array([middle - half, middle + half]), ((0, 0), (0, 1)))
+        clutter.append(project_points(CAMERA, mount, points)[0])
+    mixed = [clutter[0], *ends[:2], clutter[1], *ends[2:], clutter[2]]
+    lines = lines_on_the_ground(CAMERA, mount, tuple(observation(e, 0.5) for e in mixed))
+    assert lines is not None
+    clean = lines_on_the_ground(CAMERA, mount, tuple(observation(e, 0.5) for e in ends))
+    assert clean is not None
+    assert lines.observed.tolist() == [1, 2, *range(4, len(mixed) - 1)]
+    np.testing.assert_allclose(lines.distances_m, clean.distances_m, atol=1e-9)
+
+
+def test_a_line_through_the_cameras_foot_has_distance_zero() -> None:
+    mount = dataclasses.replace(mount_at(MOUNT_AT, NOISE), x_m=0.0, y_m=0.0)
+    bearing = 0.3
+    points = np.array([[1.0, 0.0], [2.5, 0.0]]) @ np.array([[np.cos(bearing), np.sin(bearing)], [0.0, 0.0]])
+    ends, _ = project_points(CAMERA, mount, np.pad(points, ((0, 0), (0, 1))))
+    lines = lines_on_the_ground(CAMERA, mount, (observation(ends, 0.5),))
+    assert lines is not None
+    np.testing.assert_allclose([lines.bearing_rad, lines.distances_m[0]], [bearing, 0.0], atol=1e-9)
+
+
+LEVEL = mount_at(np.array([0.5, 0.0, 0.0, 0.0]), NOISE)
+GOOD = np.array([[100.0, 400.0], [500.0, 410.0]])
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        LineObservation(np.array([[100.0, 100.0], [500.0, 120.0]]), np.eye(4)),  # in the sky
+        LineObservation(np.array([[100.0, 400.0], [500.0, 120.0]]), np.eye(4)),  # into the sky
+        LineObservation(np.array([[100.0, 239.5], [500.0, 239.5]]), np.eye(4)),  # the horizon
+        LineObservation(np.array([[100.0, 242.0], [500.0, 242.0]]), np.eye(4)),  # too near to it for the tilt's noise
+        LineObservation(np.array([[100.0, 400.0], [100.0, 400.0]]), np.eye(4)),  # no length
+        LineObservation(np.array([[100.0, 400.0], [101.0, 400.5]]), np.eye(4)),  # shorter than its noise
+        LineObservation(np.array([[np.nan, 400.0], [500.0, 400.0]]), np.eye(4)),
+        LineObservation(np.array([[np.inf, 400.0], [500.0, 400.0]]), np.eye(4)),
+        LineObservation(GOOD, np.full((4, 4), np.nan)),
+        LineObservation(GOOD, np.zeros((4, 4))),
+        LineObservation(GOOD, -np.eye(4)),
+    ],
+)
+def test_an_unusable_segment_is_left_out_and_alone_gives_nothing(bad: LineObservation) -> None:
+    assert lines_on_the_ground(CAMERA, LEVEL, (bad,)) is None
+    lines = lines_on_the_ground(CAMERA, LEVEL, (bad, observation(GOOD, 1.0)))
+    assert lines is not None
+    assert lines.observed.tolist() == [1]
+    for array in (lines.distances_m, lines.covariance, lines.extents_m, lines.extents_sigma_m):
+        assert np.isfinite(array).all()
+
+
+def test_the_same_segment_twice_is_one_line_seen_twice() -> None:
+    once = lines_on_the_ground(CAMERA, LEVEL, (observation(GOOD, 1.0),))
+    twice = lines_on_the_ground(CAMERA, LEVEL, (observation(GOOD, 1.0), observation(GOOD, 1.0)))
+    assert once is not None
+    assert twice is not None
+    np.testing.assert_allclose(twice.distances_m, [once.distances_m[0]] * 2, atol=1e-9)
+
+
+@pytest.mark.parametrize("change", [{"height_m": 0.0}, {"height_m": np.nan}, {"tilt_rad": np.nan}])
+def test_a_camera_that_is_nowhere_sees_no_lines(change: dict[str, float]) -> None:
+    mount = dataclasses.replace(LEVEL, **change)
+    assert lines_on_the_ground(CAMERA, mount, (observation(GOOD, 1.0),)) is None
+    assert lines_on_the_ground(CAMERA, LEVEL, ()) is None
+
+
+def test_distance_and_bearing_follow_the_papers_ground_points() -> None:
+    ends, _ = robot_ground_points(CAMERA, LEVEL, GOOD)
+    lines = lines_on_the_ground(CAMERA, LEVEL, (observation(GOOD, 1.0),))
+    assert lines is not None
+    along = ends[1] - ends[0]
+    bearing = modulo_quarter(np.arctan2(along[1], along[0]))
+    np.testing.assert_allclose(lines.bearing_rad, bearing, atol=1e-12)
+    assert lines.families.tolist() == [1]  # it runs across
+    np.testing.assert_allclose(lines.distances_m[0], ends[0] @ np.array([np.cos(bearing), np.sin(bearing)]), rtol=1e-12)
