@@ -49,10 +49,18 @@ class Particles:
 @dataclass(frozen=True, slots=True)
 class Graph:
     """node_interval_s: a pose at least this often, besides one at each factor. cauchy: scale of the robust kernel, in
-    sigmas of a factor."""
+    sigmas of a factor.
+
+    The rest are the prior standard deviations of the odometry's calibration, which is estimated along with the poses;
+    0 takes the odometry at its word.
+    """
 
     node_interval_s: float = 0.1
     cauchy: float = 2.0
+    scale_sigma: float = 0.1
+    turn_scale_sigma: float = 0.1
+    veer_sigma_rad_per_m: float = 0.1
+    crab_sigma_rad: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)

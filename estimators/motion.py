@@ -1,6 +1,7 @@
 """Odometry to motion: a velocity held between stamps, the motion it makes and how uncertain that is."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,18 +14,34 @@ _MAX_GAP_S = 60.0  # a longer silence, or a clock that jumped, makes the pose no
 _MAX_PERIOD_S = 1.0
 
 
+class OdometryCalibration(NamedTuple):
+    """What odometry gets wrong in the same way all the time. All zero is a perfect one.
+
+    Distances are longer by `scale`, turns by `turn_scale`; the robot turns `veer_rad_per_m` while it means to walk
+    straight, and walks `crab_rad` to the left of where its heading points.
+    """
+
+    scale: float = 0.0
+    turn_scale: float = 0.0
+    veer_rad_per_m: float = 0.0
+    crab_rad: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
     """Motion over an interval: field_from_after = field_from_before @ before_from_after, off by a robot-frame tangent at
-    the end with that covariance (3, 3)."""
+    the end with that covariance (3, 3). by_calibration: (3, 4) that tangent's change with the odometry's calibration."""
 
     before_from_after: FloatArray
     covariance: FloatArray
+    by_calibration: FloatArray
 
     def then(self, other: "Increment") -> "Increment":
+        back = se2.adjoint(se2.inverse(other.before_from_after))
         return Increment(
             se2.compose(self.before_from_after, other.before_from_after),
-            self.carry(self.covariance, other.before_from_after) + other.covariance,
+            back @ self.covariance @ back.T + other.covariance,
+            back @ self.by_calibration + other.by_calibration,
         )
 
     @staticmethod
@@ -34,7 +51,7 @@ class Increment:
         return np.asarray(back @ covariance @ back.T)
 
 
-STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)))
+STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4)))
 
 
 class HeldVelocity:
@@ -78,7 +95,9 @@ class HeldVelocity:
         # stated noise is drawn anew with each message: over a part of the period it counts in proportion
         density = self._density(velocity) if stated is None else stated * (self._period_s or duration_s)
         spread = se2.right_jacobian(tangent)
-        return Increment(se2.exp(tangent), spread @ density @ spread.T * duration_s)
+        forward, left, turn = tangent
+        by_calibration = np.array([[forward, 0.0, 0.0, -left], [left, 0.0, 0.0, forward], [0.0, turn, forward, 0.0]])
+        return Increment(se2.exp(tangent), spread @ density @ spread.T * duration_s, spread @ by_calibration)
 
     def _density(self, velocity: FloatArray) -> FloatArray:
         n = self._noise
@@ -97,4 +116,4 @@ class HeldVelocity:
 
     def _silent(self, duration_s: float) -> Increment:
         position, heading = self._noise.silent_m_per_sqrt_s**2, self._noise.silent_rad_per_sqrt_s**2
-        return Increment(np.zeros(3), np.diag([position, position, heading]) * duration_s)
+        return Increment(np.zeros(3), np.diag([position, position, heading]) * duration_s, np.zeros((3, 4)))

@@ -1,0 +1,66 @@
+"""The whole past of one robot: poses in a row, the motion between neighbours, the factors on each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimators.motion import STANDSTILL, Increment
+from fieldloc import pose as se2
+from fieldloc.factors import Factor
+from fieldloc.pose import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """n nodes. motions[k] leads from node k to k + 1; factors are (node, factor); guess: (n, 3) to start a solver from."""
+
+    stamps_ns: tuple[int, ...]
+    motions: tuple[Increment, ...]
+    factors: tuple[tuple[int, Factor], ...]
+    guess: FloatArray
+
+
+class ChainRecorder:
+    """Collects a chain while motion and factors come in. Motion between nodes is added up."""
+
+    def __init__(self, node_interval_s: float) -> None:
+        self._interval_ns = int(node_interval_s * 1e9)
+        self._stamps_ns: list[int] = []
+        self._motions: list[Increment] = []
+        self._factors: list[tuple[int, Factor]] = []
+        self._guess: list[FloatArray | None] = []
+        self._pending = STANDSTILL
+
+    def advance(self, stamp_ns: int, motion: Increment | None, pose: FloatArray | None) -> None:
+        """Motion up to a stamp, and where an online filter thinks that it led, None where it does not know."""
+        if motion is not None:
+            self._pending = self._pending.then(motion)
+        if not self._stamps_ns or stamp_ns >= self._stamps_ns[-1] + self._interval_ns:
+            self._node(stamp_ns, pose)
+
+    def add(self, factor: Factor, stamp_ns: int, pose: FloatArray | None) -> None:
+        """A factor at a stamp that `advance` has reached."""
+        if not self._stamps_ns or stamp_ns > self._stamps_ns[-1]:
+            self._node(stamp_ns, pose)
+        self._guess[-1] = pose
+        self._factors.append((len(self._stamps_ns) - 1, factor))
+
+    def chain(self) -> Chain | None:
+        """None while no pose is known. Before the first known pose the guess goes back along the motion."""
+        first = next((k for k, pose in enumerate(self._guess) if pose is not None), None)
+        if first is None:
+            return None
+        guess = [np.zeros(3)] * len(self._guess)
+        for k in range(first, len(guess)):
+            known = self._guess[k]
+            guess[k] = se2.compose(guess[k - 1], self._motions[k - 1].before_from_after) if known is None else known
+        for k in reversed(range(first)):
+            guess[k] = se2.compose(guess[k + 1], se2.inverse(self._motions[k].before_from_after))
+        return Chain(tuple(self._stamps_ns), tuple(self._motions), tuple(self._factors), np.array(guess))
+
+    def _node(self, stamp_ns: int, pose: FloatArray | None) -> None:
+        if self._stamps_ns:
+            self._motions.append(self._pending)
+        self._pending = STANDSTILL
+        self._stamps_ns.append(stamp_ns)
+        self._guess.append(pose)

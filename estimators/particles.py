@@ -1,0 +1,126 @@
+"""Particle filter with filterpy's resampling: a cloud of poses weighed by the same factors that the other estimators take."""
+
+import numpy as np
+from filterpy.monte_carlo import systematic_resample
+
+from estimators.base import Estimate, Innovation
+from estimators.config import Config
+from estimators.motion import STANDSTILL, HeldVelocity, Increment
+from fieldloc import pose as se2
+from fieldloc.covariance import squared_mahalanobis
+from fieldloc.factors import Factor, PoseFactor, innovation_covariance
+from fieldloc.measurements import Odometry
+from fieldloc.pose import FloatArray
+
+_LOG_RATIO_FLOOR = -60.0  # exp of it is nothing beside the outlier share
+
+_JITTER = 0.3  # of the cloud's own spread, at each resampling
+
+
+class ParticleFilter:
+    """Starts at the first whole-pose factor unless `start` is called before.
+
+    Motion is gathered and drawn for the particles only when a factor comes: in between the estimate is carried along.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._motion = HeldVelocity(config.motion)
+        self._random = np.random.default_rng(config.particles.seed)
+        self._pending: Increment = STANDSTILL
+        self._poses = np.zeros((0, 3))
+        self._weights = np.zeros(0)
+        self._mean = np.zeros(3)
+        self._covariance = np.zeros((3, 3))  # robot frame
+
+    def start(self, estimate: Estimate) -> None:
+        self.advance(estimate.stamp_ns)
+        self._scatter(estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
+
+    def predict(self, odometry: Odometry) -> None:
+        self.advance(odometry.stamp_ns)
+        self._motion.hold(odometry)
+
+    def advance(self, stamp_ns: int) -> None:
+        motion = self._motion.advance(stamp_ns)
+        if motion is not None and len(self._poses):
+            self._pending = self._pending.then(motion)
+
+    def update(self, factor: Factor) -> Innovation | None:
+        self.advance(factor.stamp_ns)
+        if not len(self._poses):
+            if isinstance(factor, PoseFactor):
+                self._scatter(factor.pose, factor.covariance)
+            return None
+        self._move()
+        residual = factor.error(self._mean)
+        _, expected = innovation_covariance(factor, self._mean, self._covariance)
+        nis = float(squared_mahalanobis(residual, expected))
+        likelihood, inlier = self._likelihood(factor, expected)
+        self._weights *= likelihood
+        self._weights /= self._weights.sum()
+        share = float(self._weights @ inlier)
+        if 1.0 / (self._weights @ self._weights) < 0.5 * len(self._weights):
+            self._resample()
+        self._summarise()
+        return Innovation(factor.stamp_ns, residual, expected, nis, share)
+
+    def estimate(self) -> Estimate | None:
+        """Weighted mean and covariance of the cloud."""
+        if not len(self._poses) or self._motion.stamp_ns is None:
+            return None
+        pose = se2.compose(self._mean, self._pending.before_from_after)
+        carried = Increment.carry(self._covariance, self._pending.before_from_after) + self._pending.covariance
+        return Estimate(self._motion.stamp_ns, pose, se2.rotate_covariance(carried, pose[2]))
+
+    def _scatter(self, pose: FloatArray, robot_covariance: FloatArray) -> None:
+        count = self._config.particles.count
+        self._poses = se2.retract(pose, self._draw(robot_covariance, count))
+        self._weights = np.full(count, 1.0 / count)
+        self._pending = STANDSTILL
+        self._summarise()
+
+    def _resample(self) -> None:
+        """Copies are pulled to the mean and scattered by as much: a robot that stands still would be left with one
+        particle else. Mean and covariance stay as they were (Liu & West 2001, sec. 10.3.2)."""
+        self._summarise()
+        count = len(self._poses)
+        around = se2.local(self._mean, self._poses[systematic_resample(self._weights)])
+        around = np.sqrt(1.0 - _JITTER**2) * around + _JITTER * self._draw(self._covariance, count)
+        self._poses = se2.retract(self._mean, around)
+        self._weights = np.full(count, 1.0 / count)
+
+    def _move(self) -> None:
+        noise = self._draw(self._pending.covariance, len(self._poses))
+        self._poses = se2.retract(se2.compose(self._poses, self._pending.before_from_after), noise)
+        self._pending = STANDSTILL
+        self._summarise()
+
+    def _draw(self, covariance: FloatArray, count: int) -> FloatArray:
+        values, vectors = np.linalg.eigh(covariance)
+        return self._random.standard_normal((count, 3)) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+
+    def _likelihood(self, factor: Factor, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the factor at each particle, and the share of it that is not the outliers'.
+
+        An outlier's density is that of the innovation at the edge of what the cloud expects: it neither depends on units
+        nor lets one wrong factor sweep away a cloud that all others agree with.
+        """
+        share = self._config.particles.outlier_share
+        error = factor.error(self._poses)
+        log_ratio = -0.5 * np.einsum("ni,ij,nj->n", error, np.linalg.inv(factor.covariance), error)
+        edge = self._config.robust.nis_per_dof * error.shape[-1]
+        log_det = np.linalg.slogdet(factor.covariance)[1] - np.linalg.slogdet(expected)[1]
+        inlier = (1.0 - share) * np.exp(np.maximum(log_ratio, _LOG_RATIO_FLOOR))
+        outlier = share * np.exp(-0.5 * edge + 0.5 * log_det)
+        return inlier + outlier, inlier / (inlier + outlier)
+
+    def _summarise(self) -> None:
+        """Mean and covariance of the cloud, in the tangent at its most recent mean."""
+        direction = self._weights @ np.exp(1j * self._poses[:, 2])
+        x, y = self._weights @ self._poses[:, :2]
+        self._mean = np.array([x, y, np.angle(direction)])
+        spread = self._poses - self._mean
+        spread[:, 2] = se2.wrap(spread[:, 2])
+        field = (spread * self._weights[:, None]).T @ spread
+        self._covariance = se2.rotate_covariance(field, -self._mean[2])
