@@ -76,7 +76,7 @@ def log_table(scored: ScoredLog) -> Table:
         _Column("total", "[s]", lambda run: run.run.total_s, "{:.2f}", None),
         _Column("log time", "/ total", lambda run: _ratio(duration_s, run.run.total_s), "{:.0f}", None),
     ]
-    return _table([run.run.name for run in scored.runs], columns, scored.runs)
+    return _table([run.run.name for run in scored.runs], columns, scored.runs, [True] * len(scored.runs))
 
 
 def summary_table(logs: Sequence[ScoredLog]) -> Table | None:
@@ -106,25 +106,32 @@ def summary_table(logs: Sequence[ScoredLog]) -> Table | None:
         _Column("total", "[s]", lambda o: o.total_s, "{:.2f}", None),
         _Column("log time", "/ total", lambda o: _ratio(o.duration_s, o.total_s), "{:.0f}", None),
     ]
-    return _table(names, columns, overalls)
+    most = max(len(overall.metrics) for overall in overalls)
+    return _table(names, columns, overalls, [len(overall.metrics) == most for overall in overalls])
 
 
-def _table(names: Sequence[str], columns: Sequence[_Column[Row]], rows: Sequence[Row]) -> Table:
-    """Columns in which no row has anything are left out, as those of errors are without truth."""
+def _table(
+    names: Sequence[str], columns: Sequence[_Column[Row]], rows: Sequence[Row], can_win: Sequence[bool]
+) -> Table:
+    """Columns in which no row has anything are left out, as those of errors are without truth.
+
+    can_win: whether the row is compared with the others at all; who failed on the hard logs is not better on the rest.
+    """
     filled = [column for column in columns if any(column.number(row) is not None for row in rows)]
-    cells = [[Cell(name) for name in names], *(_cells(column, rows) for column in filled)]
+    cells = [[Cell(name) for name in names], *(_cells(column, rows, can_win) for column in filled)]
     headings = (("", "estimator"), *((column.group, column.title) for column in filled))
     return Table(headings, tuple(zip(*cells, strict=True)))
 
 
-def _cells(column: _Column[Row], rows: Sequence[Row]) -> list[Cell]:
+def _cells(column: _Column[Row], rows: Sequence[Row], can_win: Sequence[bool]) -> list[Cell]:
     numbers = [column.number(row) for row in rows]
     texts = [NOTHING if n is None else column.form.format(n) for n in numbers]
     if column.badness is None or sum(n is not None for n in numbers) < 2:
         return [Cell(text) for text in texts]
-    badness = [inf if n is None else column.badness(n) for n in numbers]
+    badness = [inf if n is None or not can else column.badness(n) for n, can in zip(numbers, can_win, strict=True)]
     best_texts = {text for text, bad in zip(texts, badness, strict=True) if bad == min(badness)}
-    return [Cell(text, text in best_texts) for text in texts]  # what reads the same is equally good
+    # what reads the same is equally good
+    return [Cell(text, can and text in best_texts) for text, can in zip(texts, can_win, strict=True)]
 
 
 def _overall(runs: Sequence[tuple[float, ScoredRun]]) -> _Overall:

@@ -61,7 +61,7 @@ def format_metrics(metrics: Metrics) -> str:
         f"in 3 sigma   {100 * c.within_3sigma:.2f} % (x {x}, y {y}, heading {heading}; 99.73 is honest)",
     ]
     if c.unusable:
-        lines.append(f"             {c.unusable} covariances are not positive definite and count as outside")
+        lines.append(f"             covariances that are not positive definite, and count as outside: {c.unusable}")
     return "\n".join(lines)
 
 

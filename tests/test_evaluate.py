@@ -2,7 +2,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -100,11 +100,11 @@ def line(stamps_ns: NDArray[np.int64]) -> Trajectory:
 
 
 def test_the_nearest_within_the_limit_is_taken_and_of_two_equally_near_the_earlier() -> None:
-    ms = 1_000_000
-    truth = line(np.array([0, 100, 108, 200, 300]) * ms)
-    estimate = line(np.array([3, 104, 189, 305]) * ms)
+    tick_ns = 3_906_250  # 1/256 s, exact in binary
+    truth = line(np.array([0, 100, 104, 200, 300]) * tick_ns)
+    estimate = line(np.array([1, 102, 197, 302]) * tick_ns)
     of_estimate, of_truth = associate(estimate, truth)
-    assert of_estimate.tolist() == [0, 1, 3]  # 189 ms is 11 ms away from 200
+    assert of_estimate.tolist() == [0, 1, 3]  # three ticks are more than 10 ms
     assert of_truth.tolist() == [0, 1, 4]
 
 
@@ -134,15 +134,24 @@ def test_a_negative_limit_is_a_mistake() -> None:
         associate(walk(3), walk(3), -0.01)
 
 
-millisecond_grids = st.lists(st.integers(0, 400), min_size=1, max_size=40, unique=True).map(sorted)
+grids = st.lists(st.integers(0, 400), min_size=1, max_size=40, unique=True).map(sorted)
 
 
 @settings(max_examples=300)
-@given(millisecond_grids, millisecond_grids, st.sampled_from([0.0, 0.001, 0.005, 0.01, 0.03]))
-def test_the_association_is_evos_also_on_ties_and_on_the_limit(a: list[int], b: list[int], limit_s: float) -> None:
+@given(
+    grids,
+    grids,
+    st.sampled_from([0.0, 0.001, 0.005, 0.01, 0.03]),
+    st.sampled_from([0, START_NS]),
+    st.sampled_from([1_000_000, 7_812_500]),  # the second is exact in binary: ties are ties
+)
+@example([1], [31], 0.03, 0, 1_000_000)  # 0.031 - 0.001 <= 0.03, but 0.001 < 0.031 - 0.03
+def test_the_association_is_evos_also_on_ties_and_on_the_limit(
+    a: list[int], b: list[int], limit_s: float, start_ns: int, tick_ns: int
+) -> None:
     sync = pytest.importorskip("evo.core.sync")
     evo_trajectory = pytest.importorskip("evo.core.trajectory")
-    estimate, truth = (line(START_NS + 1_000_000 * np.array(ms, dtype=np.int64)) for ms in (a, b))
+    estimate, truth = (line(start_ns + tick_ns * np.array(ticks, dtype=np.int64)) for ticks in (a, b))
 
     def as_evo(trajectory: Trajectory) -> object:
         """With its index as x, so that what evo kept can be read off."""
@@ -161,6 +170,12 @@ def test_the_association_is_evos_also_on_ties_and_on_the_limit(a: list[int], b: 
     assert of_truth.tolist() == true.positions_xyz[:, 0].tolist()
 
 
+def test_errors_carry_the_stamps_of_the_sparser_trajectory() -> None:
+    dense, sparse = walk(100, rate_hz=100.0), Trajectory(stamps([0.103, 0.504]), np.zeros((2, 3)))
+    assert match(dense, sparse).stamps_ns.tolist() == sparse.stamps_ns.tolist()
+    assert match(sparse, dense).stamps_ns.tolist() == sparse.stamps_ns.tolist()
+
+
 # -- errors ------------------------------------------------------------------------------------------------------------
 
 
@@ -175,6 +190,14 @@ def test_known_errors_give_the_numbers_of_a_hand_calculation() -> None:
     assert metrics.rpe_frame is not None
     assert metrics.rpe_frame.rotation_rmse_rad == pytest.approx(np.sqrt((0.3**2 + 0.5**2) / 2))
     assert metrics.consistency is None
+
+
+def test_half_turns_in_opposite_directions_are_nearly_the_same_motion() -> None:
+    truth = Trajectory(stamps([0, 1]), np.array([[0.0, 0, 0], [0, 0, np.pi - 0.1]]))
+    estimate = Trajectory(stamps([0, 1]), np.array([[0.0, 0, 0], [0, 0, -np.pi + 0.1]]))
+    rpe = evaluate(estimate, truth).rpe_frame
+    assert rpe is not None
+    assert rpe.rotation_rmse_rad == pytest.approx(0.2)
 
 
 def test_nothing_is_aligned_before_the_comparison() -> None:

@@ -140,6 +140,15 @@ def test_the_table_over_all_logs_averages_what_could_be_compared() -> None:
     assert summary_table(logs[:1]) is None
 
 
+def test_an_estimator_that_failed_on_a_log_is_never_the_best_over_all() -> None:
+    truth = circle()
+    first = LogResult("first", 40.0, None, truth, (RunResult("good", nothing(), np.zeros(0), 1.0), *example().runs[1:]))
+    table = summary_table([score(example("second")), score(first)])
+    assert table is not None
+    best = {row[0].text: any(cell.is_best for cell in row) for row in table.rows}
+    assert best == {"good": False, "poor": True, "lost": False}
+
+
 def test_one_evaluation_reads_as_lines() -> None:
     metrics = score(example()).runs[1].metrics
     assert metrics is not None
@@ -257,6 +266,23 @@ def test_the_error_picture_shows_the_largest_error_and_says_its_units() -> None:
     assert nees.get_ylim()[1] > run.metrics.consistency.anees if run.metrics.consistency else False
 
 
+def test_bands_are_three_claimed_sigmas_and_headings_are_in_degrees() -> None:
+    truth = circle()
+    sigmas = np.array([0.1, 0.2, 0.3])
+    poses = truth.poses + np.array([0.05, -0.1, 0.15])
+    estimate = Trajectory(truth.stamps_ns, poses, np.tile(np.diag(sigmas**2), (len(truth), 1, 1)))
+    run = only(RunResult("good", estimate, np.zeros(0), 1.0), truth).runs[0]
+    assert run.errors is not None
+    assert run.metrics is not None
+    axes = error_picture("good", run.errors, run.metrics, truth, "#0072B2").axes
+    for panel, sigma, unit in zip(axes, sigmas, (1.0, 1.0, np.degrees(1.0)), strict=False):
+        (band,) = [c for c in panel.collections if isinstance(c, PolyCollection)]
+        outline = np.asarray(band.get_paths()[0].vertices)[:, 1]
+        assert (outline.min(), outline.max()) == pytest.approx((-3 * sigma * unit, 3 * sigma * unit))
+        drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in panel.lines])
+        assert np.abs(drawn).max() == pytest.approx(0.5 * sigma * unit)
+
+
 # -- the report --------------------------------------------------------------------------------------------------------
 
 
@@ -361,7 +387,7 @@ def test_odd_results_still_make_a_report(scored: ScoredLog, tmp_path: Path) -> N
 
 def test_covariances_that_are_none_are_told_on_the_page(tmp_path: Path) -> None:
     page = write_report(tmp_path, [only(RunResult("good", with_covariance(0.0), np.zeros(0), 0.0), circle(20))])
-    assert "good: 1 covariances are not positive definite" in page.read_text("utf-8")
+    assert "good: covariances that are not positive definite, and count as outside 3σ: 1" in page.read_text("utf-8")
 
 
 def test_an_interrupted_report_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def _section(section: Section) -> str:
     facts.append(f"{len(log.truth):,} true poses" if log.truth else "no truth: trajectories only")
     notes = [f"{run.run.name}: {run.note}" for run in section.scored.runs if run.note and log.truth]
     notes += [
-        f"{run.run.name}: {c.unusable} covariances are not positive definite; they count as outside 3σ"
+        f"{run.run.name}: covariances that are not positive definite, and count as outside 3σ: {c.unusable}"
         for run in section.scored.runs
         if run.metrics and (c := run.metrics.consistency) and c.unusable
     ]

@@ -8,7 +8,7 @@ from logs.trajectory import IntArray
 
 
 def extremes(values: FloatArray, bins: int) -> NDArray[np.intp]:
-    """Rising indices of the smallest and the largest of each of `bins` equal stretches, and of the last value.
+    """Rising indices of the smallest and the largest of each of `bins` equal stretches, and what is left over.
 
     values: (n,) finite. All indices where that would not make them fewer. Every spike stays, unlike with every n-th.
     """
