@@ -40,7 +40,7 @@ class LogWriter:
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> "LogWriter":
-        with contextlib.ExitStack() as stack, self._as_fieldloc_error():
+        with self._as_fieldloc_error(), contextlib.ExitStack() as stack:
             if self.path.is_dir():
                 raise FieldlocError(f"{self.path}: is a directory; give a file to write")
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._stack, self._as_fieldloc_error():
+        with self._as_fieldloc_error(), self._stack:
             if kind is None:
                 self._mcap.finish()  # type: ignore[no-untyped-call]
                 self._file.flush()

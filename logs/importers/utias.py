@@ -15,7 +15,7 @@ from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan, Odometry, Truth
 from fieldloc.pose import FloatArray
 from logs.importers.folder import DataFolder, Row
-from logs.importers.result import Cut, Imported, write_log
+from logs.importers.result import Cut, Imported, Progress, write_log
 
 RANGE_SIGMA_RELATIVE = 0.05
 RANGE_SIGMA_FLOOR_M = 0.02
@@ -61,6 +61,7 @@ def import_utias(
     range_sigma_relative: float = RANGE_SIGMA_RELATIVE,
     range_sigma_floor_m: float = RANGE_SIGMA_FLOOR_M,
     bearing_sigma_rad: float = BEARING_SIGMA_RAD,
+    progress: Progress | None = None,
 ) -> Imported:
     """Write one robot's log; path is the data set's folder, its .tar.gz or its .zip. FieldlocError names file and line.
 
@@ -80,7 +81,6 @@ def import_utias(
     field = _field(folder)
     noise = _Noise(range_sigma_relative, range_sigma_floor_m, bearing_sigma_rad)
     scans = _scans(folder, robot, field, cut, noise, warnings)
-    streams: tuple[list[Odometry] | list[LandmarkScan] | list[Truth], ...]
     streams = (_odometry(folder, robot), scans, _truth(folder, robot))
     config = {
         "robot": robot,
@@ -90,7 +90,7 @@ def import_utias(
         "range_sigma_floor_m": range_sigma_floor_m,
         "bearing_sigma_rad": bearing_sigma_rad,
     }
-    return write_log(out, field, streams, SOURCE, config, warnings)
+    return write_log(out, field, streams, SOURCE, config, warnings, progress)
 
 
 def _field(folder: DataFolder) -> FieldMap:

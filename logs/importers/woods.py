@@ -18,7 +18,7 @@ from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan, Odometry, Truth
 from fieldloc.pose import FloatArray
-from logs.importers.result import Cut, Imported, write_log
+from logs.importers.result import Cut, Imported, Progress, write_log
 
 LEFT_SIGMA_MPS = 0.03
 """Sideways slip, which the data set does not state: about the r.m.s. of the truth's sideways velocity (0.027 m/s)."""
@@ -28,13 +28,28 @@ SOURCE = {
     "attribution": "University of Toronto Institute for Aerospace Studies, course AER1513",
     "licence": "Apache-2.0",
 }
+_UNREADABLE = (  # all that scipy was seen to raise on damaged files
+    OSError,
+    ValueError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
+    MemoryError,
+    NotImplementedError,
+    zlib.error,
+    MatReadError,
+)
 _COLUMNS = ("t", "x_true", "y_true", "th_true", "true_valid", "v", "om")
 _SCALARS = ("d", "r_var", "b_var", "v_var", "om_var")
 _MATRICES = ("l", "r", "b")
 
 
 def import_woods(
-    mat_path: str | Path, out: str | Path, anonymous: bool = False, max_range_m: float | None = None
+    mat_path: str | Path,
+    out: str | Path,
+    anonymous: bool = False,
+    max_range_m: float | None = None,
+    progress: Progress | None = None,
 ) -> Imported:
     """Write the log; FieldlocError if the file is not that data set.
 
@@ -46,9 +61,10 @@ def import_woods(
     data = _load(Path(mat_path))
     stamps = [round(t * 1e9) for t in data["t"].tolist()]
     warnings: list[str] = []
-    streams = (list(_odometry(data, stamps, warnings)), list(_scans(data, stamps, cut, warnings)), _truth(data, stamps))
+    odometry, scans = list(_odometry(data, stamps, warnings)), list(_scans(data, stamps, cut, warnings))
+    streams = (odometry, scans, list(_truth(data, stamps)))
     config = {"anonymous": anonymous, "max_range_m": max_range_m, "left_sigma_mps": LEFT_SIGMA_MPS}
-    return write_log(out, _field(data), streams, SOURCE, config, warnings)
+    return write_log(out, _field(data), streams, SOURCE, config, warnings, progress)
 
 
 def _field(data: dict[str, FloatArray]) -> FieldMap:
@@ -93,7 +109,7 @@ def _load(path: Path) -> dict[str, FloatArray]:
         raw = scipy.io.loadmat(path, variable_names=names)
     except FileNotFoundError:
         raise FieldlocError(f"{path}: no such file; give the data set's .mat file") from None
-    except (OSError, ValueError, TypeError, NotImplementedError, zlib.error, MatReadError) as error:
+    except _UNREADABLE as error:
         raise FieldlocError(f"{path}: cannot be read as a MATLAB file: {error}") from None
     if missing := [name for name in names if name not in raw]:
         raise FieldlocError(f"{path}: not the woods data set: it has no {', '.join(missing)}")

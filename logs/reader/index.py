@@ -143,7 +143,7 @@ def _from_records(file: IO[bytes], size: int) -> Index:
         tally.take(records, span)
         data_ended = data_ended or span.opcode == Opcode.DATA_END
         if span.opcode == Opcode.FOOTER:
-            finished = True
+            finished = file.read(len(MAGIC)) == MAGIC
             break
     known = {number: count for number, count in tally.counts.items() if number in tally.channels}
     lost = sum(tally.counts.values()) - sum(known.values())
