@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fieldloc.camera import Camera
 from fieldloc.field import FieldMap, load_field
 from fieldloc.fixes.line_map import line_grid
-from fieldloc.fixes.line_poses import constraints_from_lines, poses_from_lines
+from fieldloc.fixes.line_poses import LineConstraint, constraints_from_lines, poses_from_lines
 from fieldloc.fixes.lines import GroundLines, lines_on_the_ground
 from fieldloc.ground import project_points
 from fieldloc.measurements import CameraMount, LineObservation
@@ -173,6 +173,30 @@ def test_lines_of_both_directions_give_no_constraint() -> None:
     lines = seen_from(POSE)
     assert lines is not None
     assert constraints_from_lines(lines, SPL) == ()
+    assert constraints_from_lines(lines, SPL, extra_unexplained=1) == ()  # both directions have two lines at least
+
+
+def test_the_only_line_of_a_direction_may_be_false_and_then_little_is_known() -> None:
+    pose = np.array([2.0, 1.8, 1.5])
+    mount = mount_at(MOUNT_AT)
+    ends = np.pad(apply(inverse(pose), np.array([[2.1, 2.4], [2.1, 2.8]])), ((0, 0), (0, 1)))
+    pixels, visible = project_points(CAMERA, mount, ends)
+    assert visible.all()
+    false_line = LineObservation(pixels, 0.25 * np.eye(4))
+    lines = lines_on_the_ground(CAMERA, mount, (*image_of(SPL, pose, mount), false_line))
+    assert lines is not None
+    assert set(lines.families.tolist()) == {0, 1}
+    fixes = poses_from_lines(lines, SPL)
+    assert gaps(np.array([fix.pose for fix in fixes]), pose).min() > 0.1  # all of them believe the line
+    assert constraints_from_lines(lines, SPL) == ()
+    constraints = constraints_from_lines(lines, SPL, extra_unexplained=1)
+    right = [c for c in constraints if abs(c.normal @ pose[:2] - c.offset_m) < 1e-8 and gaps_of_heading(c, pose) < 1e-8]
+    assert len(right) == 1
+    assert right[0].log_weight < fixes[0].log_weight
+
+
+def gaps_of_heading(constraint: LineConstraint, pose: FloatArray) -> float:
+    return float(abs(wrap(constraint.heading_rad - pose[2])))
 
 
 def one_line(low: float, high: float) -> GroundLines:

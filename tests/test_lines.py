@@ -58,7 +58,7 @@ def seen_from(pose: FloatArray, mount: CameraMount, camera: Camera = CAMERA) -> 
 
 @pytest.mark.parametrize("camera", [CAMERA, FISHEYE])
 @pytest.mark.parametrize("noise", [NOISE, EXACT])
-@pytest.mark.parametrize("heading", np.linspace(-3.0, 3.0, 7))
+@pytest.mark.parametrize("heading", [*np.linspace(-3.0, 3.0, 7), np.pi / 4, -np.pi / 2])
 def test_an_exact_image_gives_the_exact_lines(camera: Camera, noise: FloatArray, heading: float) -> None:
     pose = np.array([POSE[0], POSE[1], heading])
     mount = mount_at(MOUNT_AT, noise)

@@ -6,6 +6,7 @@ poses; lines of a single direction give a heading and one coordinate, and the ro
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -78,14 +79,18 @@ def poses_from_lines(
 def constraints_from_lines(
     lines: GroundLines, field_map: FieldMap, *, extra_unexplained: int = 0, sigma_map_m: float = 0.0
 ) -> tuple[LineConstraint, ...]:
-    """As `poses_from_lines` where lines of one direction only were seen; empty where both were."""
+    """As `poses_from_lines` where lines of one direction only were seen.
+
+    Where both were, empty, unless `extra_unexplained` allows to leave all lines of one direction unexplained: its only
+    line may be none of the map's. The weights compare with those of the poses from the same lines.
+    """
     grid = line_grid(field_map)
     problem = _Problem(lines, grid, sigma_map_m, field_map.line_width_m)
 
-    def search(unexplained: int) -> list[LineConstraint]:
+    def search(family: int, unexplained: int) -> list[LineConstraint]:
         found = []
         for quarter in range(4):
-            axis = problem.axis(int(lines.families[0]), quarter)
+            axis = int(_axis(np.array(family), quarter))
             normal = rotation(grid.heading_rad)[:, axis]
             for matched, offsets, room in problem.alone(axis, quarter, unexplained):
                 states, covariance, log_weights = problem.solve(quarter, (axis,), matched, offsets)
@@ -97,8 +102,13 @@ def constraints_from_lines(
                         found.append(LineConstraint(normal, float(offset), turned, covariance, along, total))
         return found
 
-    directions = len(set(lines.families.tolist()))
-    found = _least_unexplained(search, len(lines.families) - 1, extra_unexplained) if directions == 1 else []
+    count = np.bincount(lines.families, minlength=2)
+    found = []
+    for family in (0, 1):
+        own, other = int(count[family]), int(count[1 - family])
+        spare = extra_unexplained - other
+        if own and spare >= 0:
+            found += _least_unexplained(partial(search, family), min(spare, own - 1) if other else own - 1, spare)
     return tuple(sorted(found, key=lambda constraint: -constraint.log_weight))
 
 
@@ -121,17 +131,14 @@ class _Problem:
         index = np.arange(1, len(self._covariance))
         self._covariance[index, index] += sigma_map_m**2
 
-    @staticmethod
-    def axis(family: int, quarter: int) -> int:
-        """The coordinate that is constant along lines of the family."""
-        return (1 - family + quarter) % 2
-
     def alone(self, axis: int, quarter: int, unexplained: int) -> Iterator[tuple[_Mask, FloatArray, FloatArray]]:
         """Per pattern of explained lines (n,): their map offsets (q, n) and the room along them (q, 2), distinct."""
-        _, branches, offsets = self._match(axis, quarter, unexplained)
-        rows = np.column_stack([offsets, branches.room_m])
-        for matched, chosen in _patterns(branches.assigned >= 0, rows):
-            yield matched, offsets[chosen], branches.room_m[chosen]
+        columns, branches, found = self._match(axis, quarter, unexplained)
+        shape = (len(found), len(self._lines.families))
+        offsets, matched = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+        offsets[:, columns], matched[:, columns] = found, branches.assigned >= 0
+        for pattern, chosen in _patterns(matched, np.column_stack([offsets, branches.room_m])):
+            yield pattern, offsets[chosen], branches.room_m[chosen]
 
     def pairs(self, quarter: int, unexplained: int) -> Iterator[tuple[_Mask, FloatArray]]:
         """Per pattern of explained lines (n,): the map offsets (q, n) that fit in both directions at once, distinct."""
@@ -144,8 +151,8 @@ class _Problem:
         fits &= y.position_m + reach_y >= x.room_m[:, :1]
         fits &= y.position_m - reach_y <= x.room_m[:, 1:]
         i, j = np.nonzero(fits)
-        count = len(self._lines.families)
-        offsets, matched = np.zeros((len(i), count)), np.zeros((len(i), count), dtype=np.bool_)
+        shape = (len(i), len(self._lines.families))
+        offsets, matched = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
         offsets[:, columns_x], offsets[:, columns_y] = offsets_x[i], offsets_y[j]
         matched[:, columns_x], matched[:, columns_y] = x.assigned[i] >= 0, y.assigned[j] >= 0
         for pattern, chosen in _patterns(matched, offsets):
@@ -160,7 +167,7 @@ class _Problem:
         -inf where the lines as a whole fit worse than noise can make them.
         """
         sign = _SIGN[self._lines.families[matched], quarter]
-        where = (1 - self._lines.families[matched] + quarter) % 2
+        where = _axis(self._lines.families[matched], quarter)
         model = np.zeros((1 + len(sign), len(axes) + 1))
         model[0, -1] = -1.0
         for column, axis in enumerate(axes):
@@ -185,7 +192,7 @@ class _Problem:
     def _match(self, axis: int, quarter: int, unexplained: int) -> tuple[NDArray[np.intp], Branches, FloatArray]:
         """The lines across one axis of the grid: which they are, their branches, the map offsets (p, n) of those."""
         lines = self._lines
-        columns = np.flatnonzero((1 - lines.families + quarter) % 2 == axis)
+        columns = np.flatnonzero(_axis(lines.families, quarter) == axis)
         families = lines.families[columns]
         sign, along = _SIGN[families, quarter], _SIGN[1 - families, quarter]
         noise = self._covariance[np.ix_(1 + columns, 1 + columns)] * np.outer(sign, sign)
@@ -200,6 +207,11 @@ class _Problem:
         branches = match(seen, offsets, self._grid.extents_m[on_axis], unexplained)
         explained = branches.assigned >= 0
         return columns, branches, np.where(explained, np.append(offsets, 0.0)[branches.assigned], 0.0)
+
+
+def _axis(families: NDArray[np.intp], quarter: int) -> NDArray[np.intp]:
+    """The grid coordinate, 0 or 1, that is constant along lines of these families."""
+    return np.asarray((1 - families + quarter) % 2)
 
 
 def _patterns(matched: _Mask, rows: FloatArray) -> Iterator[tuple[_Mask, NDArray[np.intp]]]:
