@@ -7,6 +7,7 @@ import numpy as np
 
 from fieldloc import pose as se2
 from fieldloc.association import Belief, associate, seen_in_robot
+from fieldloc.camera import Camera
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, PoseFactor
 from fieldloc.field import FieldMap
 from fieldloc.fixes.landmarks import LandmarkFix, landmark_fix
@@ -18,14 +19,19 @@ _CHI2_LIMITS = (15.14, 21.11, 25.74, 29.88, 33.72, 37.37, 40.87, 44.26)
 
 
 class FactorBuilder:
-    """One for a log: knows the map, counts what it could not use.
+    """One for a log: knows the map and the camera, counts what it could not use."""
 
-    unknown_landmarks: how often each label was seen that is not on the map.
-    """
-
-    def __init__(self, field: FieldMap) -> None:
+    def __init__(self, field: FieldMap, camera: Camera | None = None) -> None:
         self._field = field
-        self.unknown_landmarks: Counter[str] = Counter()
+        self._camera = camera
+        self._unknown: Counter[str] = Counter()
+
+    def warnings(self) -> tuple[str, ...]:
+        """What could not be used so far."""
+        if not self._unknown:
+            return ()
+        labels = ", ".join(sorted(self._unknown))
+        return (f"{self._unknown.total()} observations left out: landmark {labels} is not on the map {self._field.name}",)
 
     def build(self, measurement: LandmarkScan | Compass | InitialPose, belief: Belief | None) -> tuple[Factor, ...]:
         """The factors of one measurement, of errors independent of each other.
@@ -64,7 +70,7 @@ class FactorBuilder:
         for label in scan.labels:
             index = None if label is None else self._field.index_of(label)
             if label is not None and index is None:
-                self.unknown_landmarks[label] += 1
+                self._unknown[label] += 1
             out.append(index)
         if belief is not None and None in scan.labels:
             taken = frozenset(index for index in out if index is not None)

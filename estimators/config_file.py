@@ -1,0 +1,54 @@
+"""The configuration tree from a TOML file and from single settings: [motion] forward_m_per_sqrt_m = 0.1."""
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+
+from estimators.config import Config, Graph, MotionNoise, Particles, Robust
+from fieldloc.errors import FieldlocError
+from fieldloc.toml_table import TomlTable
+
+Section = MotionNoise | Robust | Particles | Graph
+
+
+def load_config(path: Path) -> Config:
+    """The defaults with what the file changes; FieldlocError names the file and the key for every mistake."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FieldlocError(f"{path}: cannot be read as a configuration: {error}") from None
+    return _with_table(Config(), TomlTable.parse(text, str(path)))
+
+
+def with_settings(config: Config, settings: Sequence[str]) -> Config:
+    """The configuration with settings like "motion.forward_m_per_sqrt_m=0.1", the last of equal ones winning."""
+    for setting in settings:
+        name, _, value = setting.partition("=")
+        section, _, key = name.partition(".")
+        if not (section and key and value):
+            raise FieldlocError(f"--set {setting}: needs SECTION.NAME=NUMBER, for example particles.count=2000")
+        config = _with_table(config, TomlTable.parse(f"[{section}]\n{key} = {value}", f"--set {setting}"))
+    return config
+
+
+def _with_table(config: Config, table: TomlTable) -> Config:
+    parts = {part.name: getattr(config, part.name) for part in fields(config)}
+    for name, part in parts.items():
+        if table.has(name):
+            parts[name] = _section(part, table.table(name))
+    table.finish()
+    return Config(**parts)
+
+
+def _section(section: Section, table: TomlTable) -> Section:
+    values: dict[str, float] = {}
+    for item in fields(section):
+        default = getattr(section, item.name)
+        value = table.number(item.name, float(default))
+        if isinstance(default, int):
+            if not value.is_integer():
+                table.fail(item.name, f"needs a whole number, got {value}")
+            value = int(value)
+        values[item.name] = value
+    table.finish()
+    return replace(section, **values)

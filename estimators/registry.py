@@ -1,0 +1,17 @@
+"""The estimators by name."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from estimators.base import Estimator
+from estimators.config import Config
+from estimators.dead_reckoning import DeadReckoning
+from estimators.ekf import Ekf
+from estimators.particles import ParticleFilter
+from estimators.smoother import Smoother
+
+ONLINE: Mapping[str, Callable[[Config], Estimator]] = MappingProxyType(
+    {"dead-reckoning": DeadReckoning, "ekf": Ekf, "particles": ParticleFilter}
+)
+SMOOTHERS: Mapping[str, Callable[[Config], Smoother]] = MappingProxyType({"smooth": Smoother})
+ALL: Mapping[str, Callable[[Config], Estimator]] = MappingProxyType({**ONLINE, **SMOOTHERS})
