@@ -138,6 +138,18 @@ def test_files_of_other_writers_are_read_whatever_their_index_lacks(tmp_path, op
     assert log.warnings == ()
 
 
+def test_a_message_outside_chunks_is_found_in_a_file_that_has_an_index_of_chunks(tmp_path):
+    path = write_raw(tmp_path / "log.mcap", [as_raw("/truth", truth(i)) for i in range(3)])
+    content = path.read_bytes()
+    opcode, length, summary, offsets, _ = struct.unpack("<BQQQI", content[-37:-8])
+    at = summary - 13  # before DataEnd
+    data = encode(truth(3))
+    loose = struct.pack("<BQHIQQ", Opcode.MESSAGE, 22 + len(data), 1, 3, 3 * 10**8, 3 * 10**8) + data
+    footer = struct.pack("<BQQQI", opcode, length, summary + len(loose), offsets + len(loose), 0)
+    path.write_bytes(content[:at] + loose + content[at:-37] + footer + content[-8:])
+    assert [record.stamp_ns // 10**8 for record in LogFile(path).records(Truth)] == [0, 1, 2, 3]
+
+
 @needs_shared
 def test_every_official_conformance_file_is_read_in_full(tmp_path):
     with tarfile.open(SHARED / "mcap_conformance.tar.gz") as archive:
@@ -343,6 +355,16 @@ def test_flipped_bits_never_give_a_traceback_a_wrong_message_or_silence(tmp_path
             log = LogFile(path)
             list(log.messages())
             assert log.warnings
+
+
+def test_damage_to_the_index_costs_no_message(tmp_path):
+    path = write_log(tmp_path / "log.mcap", count=30, chunk_messages=10)
+    content = path.read_bytes()
+    whole = [(m.topic, m.log_time_ns, encode(m.record)) for m in read_log(path)]
+    summary = struct.unpack("<BQQQI", content[-37:-8])[2]
+    for place in range(summary, len(content), 7):
+        path.write_bytes(content[:place] + bytes([content[place] ^ 0x04]) + content[place + 1 :])
+        assert [(m.topic, m.log_time_ns, encode(m.record)) for m in read_log(path)] == whole
 
 
 def test_a_record_that_claims_to_be_huge_is_not_believed(tmp_path):

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import log_records
 import numpy as np
@@ -223,3 +224,18 @@ def test_stamps_are_shown_exactly():
     assert seconds(1_248_444_187_156_000_001) == "1248444187.156000001 s"
     assert seconds(0) == "0.0 s"
     assert seconds(-1_500_000_000) == "-1.5 s"
+
+
+def test_the_documentation_names_every_schema_topic_and_field():
+    text = (Path(__file__).parents[1] / "docs" / "log-format.md").read_text()
+
+    def names(node):
+        for name, inner in node.get("properties", {}).items():
+            yield name
+            yield from names(inner)
+        if "items" in node:
+            yield from names(node["items"])
+
+    for schema in SCHEMAS:
+        assert f"| `/{schema.role}` | `{schema.name}` |" in text
+        assert [name for name in names(schema.json_schema) if name not in text] == []

@@ -81,7 +81,6 @@ def _from_summary(file: IO[bytes], size: int) -> Index | None:
         statistics.chunk_count == len(chunks)
         and statistics.metadata_count == len(summary.metadata_indexes)
         and statistics.message_count == sum(counts.values())
-        and bool(statistics.message_count) <= bool(chunks)
         and all(number in sources for number in counts)
         and all(channel.schema_id in {0, *summary.schemas} for channel in summary.channels.values())
         and all(block.end <= size for block in blocks)
