@@ -32,12 +32,14 @@ _UNLIKELY = 30.0  # chi2 above the best one's, where a solution is not worth nam
 class LandmarkFix(Fix):
     """A fix that says how far to trust it.
 
-    chi2: the weighted squared residuals, chi-square with 2n - 3 degrees of freedom when all is as modelled.
-    chi2_each: (n,) by how much chi2 would fall if that landmark were left out, chi-square with 2 degrees of freedom
-        for each from three landmarks on: the wrongly identified one stands out. With two, both have all of chi2.
-    nonlinearity: how far chi2 two sigmas of heading away, to the worse side, is from the 4 that first order says,
-        relative: 0 is a Gaussian. Landmarks close together leave a banana; the covariance then covers it, but from
-        about 0.5 on the observations themselves are the better factors for whoever has a prior.
+    chi2: the weighted squared residuals, chi-square when all is as modelled, with as many degrees of freedom as there
+        are numbers observed beyond the pose's three.
+    chi2_each: (n,) by how much chi2 would fall if that landmark were left out: the wrongly identified one stands out.
+        Chi-square with the degrees of freedom that one landmark brings; all of chi2 where the others alone do not
+        determine the pose.
+    nonlinearity: how far chi2 two sigmas away in the pose's least certain direction, to the worse side, is from the 4
+        that first order says, relative: 0 is a Gaussian. Landmarks close together leave a banana; the covariance then
+        covers it, but from about 0.5 on the observations themselves are the better factors for whoever has a prior.
     """
 
     chi2: float = 0.0
