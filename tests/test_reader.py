@@ -1,4 +1,5 @@
 import json
+import os
 import random
 import struct
 import tarfile
@@ -201,6 +202,17 @@ def test_what_is_not_an_mcap_file_is_said_in_one_line(tmp_path, content, complai
 def test_a_directory_is_not_a_log(tmp_path):
     with pytest.raises(FieldlocError, match="is a directory"):
         LogFile(tmp_path)
+
+
+def test_a_pipe_is_not_a_log():
+    reading, writing = os.pipe()
+    try:
+        os.write(writing, b"\x89MCAP0\r\n")
+        with pytest.raises(FieldlocError, match="a pipe, save it to a file first"):
+            LogFile(f"/dev/fd/{reading}")
+    finally:
+        os.close(reading)
+        os.close(writing)
 
 
 def test_a_log_without_messages_says_so(tmp_path):

@@ -196,7 +196,9 @@ def _open(path: Path) -> IO[bytes]:
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
         raise FieldlocError(f"{path}: cannot be opened: {error}") from None
     try:
-        magic = file.read(len(MAGIC)) if file.seekable() else b""
+        if not file.seekable():
+            raise OSError("a pipe, save it to a file first")
+        magic = file.read(len(MAGIC))
     except OSError as error:
         file.close()
         raise FieldlocError(f"{path}: cannot be read: {error}") from None
