@@ -70,8 +70,8 @@ def test_equal_stamps_are_one_image_and_only_landmarks_of_the_map_are_in_it(fold
     ]
     assert np.array_equal(scans[0].range_bearing, [[2.0, 0.1], [0.2, -0.2]])
     assert result.warnings == (
-        "1 observations left out: barcode 99 is not in Barcodes.dat",
-        "1 observations left out: subject 8 is not in Landmark_Groundtruth.dat",
+        "1 observation left out: barcode 99 not in Barcodes.dat",
+        "1 observation left out: subject 8 not in Landmark_Groundtruth.dat",
     )
 
 

@@ -162,7 +162,8 @@ def _dropped(numbers: list[int], noun: str, table: str) -> list[str]:
     if not numbers:
         return []
     names = ", ".join(map(str, sorted(set(numbers))))
-    return [f"{len(numbers)} observations left out: {noun} {names} is not in {table}"]
+    plural = "" if len(numbers) == 1 else "s"
+    return [f"{len(numbers)} observation{plural} left out: {noun} {names} not in {table}"]
 
 
 def _stamp_ns(row: Row) -> int:
