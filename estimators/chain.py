@@ -12,7 +12,10 @@ from fieldloc.pose import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """n nodes. motions[k] leads from node k to k + 1; factors are (node, factor); guess: (n, 3) to start a solver from."""
+    """n nodes. motions[k] leads from node k to k + 1; factors are (node, factor).
+
+    guess: (n, 3) poses to start a solver from.
+    """
 
     stamps_ns: tuple[int, ...]
     motions: tuple[Increment, ...]

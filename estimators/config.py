@@ -1,4 +1,4 @@
-"""The settings of all estimators in one frozen tree: the defaults that ship, the TOML file, what is stored with a result."""
+"""The settings of all estimators in one frozen tree: the shipped defaults, the TOML file, what is stored with results."""
 
 from dataclasses import dataclass, field
 

@@ -1,14 +1,15 @@
 """The configuration tree from a TOML file and from single settings: [motion] forward_m_per_sqrt_m = 0.1."""
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
+from typing import TypeVar
 
 from estimators.config import Config, Graph, MotionNoise, Particles, Robust
 from fieldloc.errors import FieldlocError
 from fieldloc.toml_table import TomlTable
 
-Section = MotionNoise | Robust | Particles | Graph
+Section = TypeVar("Section", MotionNoise, Robust, Particles, Graph)
 
 
 def load_config(path: Path) -> Config:
@@ -32,15 +33,20 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
 
 
 def _with_table(config: Config, table: TomlTable) -> Config:
-    parts = {part.name: getattr(config, part.name) for part in fields(config)}
-    for name, part in parts.items():
-        if table.has(name):
-            parts[name] = _section(part, table.table(name))
+    changed = Config(
+        motion=_section(config.motion, table, "motion"),
+        robust=_section(config.robust, table, "robust"),
+        particles=_section(config.particles, table, "particles"),
+        graph=_section(config.graph, table, "graph"),
+    )
     table.finish()
-    return Config(**parts)
+    return changed
 
 
-def _section(section: Section, table: TomlTable) -> Section:
+def _section(section: Section, whole: TomlTable, name: str) -> Section:
+    if not whole.has(name):
+        return section
+    table = whole.table(name)
     values: dict[str, float] = {}
     for item in fields(section):
         default = getattr(section, item.name)
@@ -51,4 +57,4 @@ def _section(section: Section, table: TomlTable) -> Section:
             value = int(value)
         values[item.name] = value
     table.finish()
-    return replace(section, **values)
+    return type(section)(**values)  # type: ignore[arg-type]  # whole numbers went through the check above

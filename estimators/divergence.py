@@ -1,4 +1,4 @@
-"""Notices that an estimate is wrong, or that the robot was carried: whole poses that agree with each other, not with it."""
+"""Notices that an estimate is wrong or the robot was carried: whole poses that agree with each other, not with it."""
 
 import numpy as np
 

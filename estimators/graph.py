@@ -7,6 +7,7 @@ together, and the marginals know that it is not known exactly.
 
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import gtsam
@@ -38,51 +39,84 @@ class Solution:
 
 def solve(chain: Chain, config: Graph) -> Solution:
     """The most probable poses given all factors, each with its marginal covariance."""
-    return _with_big_stack(lambda: _solve(chain, config))
+    return _with_big_stack(lambda: _Problem(chain, config).solve())
 
 
-def _solve(chain: Chain, config: Graph) -> Solution:
-    calibration = np.zeros(4)
-    prior_sigmas = np.array(
-        [config.scale_sigma, config.turn_scale_sigma, config.veer_sigma_rad_per_m, config.crab_sigma_rad]
-    )
-    free = np.flatnonzero(prior_sigmas > 0.0)
-    unary = _unary(chain, config)
-    graph = _graph(chain, unary, calibration)
-    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, _values(chain.guess))
-    values = optimizer.optimize()
-    error = optimizer.error()
-    if not np.isfinite(error):
-        raise ValueError("the graph's error is not finite: a factor holds a value that is not")
-    for _ in range(_MAX_STEPS if len(free) else 0):
-        linear = _linear(chain, graph, values, calibration, prior_sigmas, free)
-        step = linear.optimize()
-        calibration[free] += step.at(len(chain.stamps_ns))
-        graph = _graph(chain, unary, calibration)
-        values = values.retract(_poses_only(step, len(chain.stamps_ns)))
-        before, error = error, graph.error(values) + 0.5 * float(np.sum((calibration[free] / prior_sigmas[free]) ** 2))
-        if abs(before - error) <= _CONVERGED * error:
-            break
-    tree = _linear(chain, graph, values, calibration, prior_sigmas, free).eliminateMultifrontal()
-    nodes = range(len(chain.stamps_ns))
-    solved = [values.atPose2(k) for k in nodes]
-    return Solution(
-        np.array([[pose.x(), pose.y(), pose.theta()] for pose in solved]),
-        np.array([tree.marginalCovariance(k) for k in nodes]),
-        OdometryCalibration(*calibration.tolist()),
-    )
+class _Problem:
+    """The poses have the keys 0 to n - 1, the free part of the calibration has n."""
 
+    def __init__(self, chain: Chain, config: Graph) -> None:
+        self._chain = chain
+        self._count = len(chain.stamps_ns)
+        sigmas = np.array(
+            [config.scale_sigma, config.turn_scale_sigma, config.veer_sigma_rad_per_m, config.crab_sigma_rad]
+        )
+        self._free = sigmas > 0.0
+        self._prior_weights = 1.0 / sigmas[self._free]
+        self._between = np.array([motion.before_from_after for motion in chain.motions]).reshape(-1, 3)
+        self._by_calibration = np.array([motion.by_calibration for motion in chain.motions]).reshape(-1, 3, 4)
+        covariances = np.array([motion.covariance for motion in chain.motions]).reshape(-1, 3, 3)
+        roots = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariances + _MOTION_FLOOR)), -1, -2)
+        self._motion_noise = [gtsam.noiseModel.Gaussian.SqrtInformation(root, False) for root in roots]
+        self._columns = -roots @ self._by_calibration[:, :, self._free]
+        self._unary = _unary(chain, config)
 
-def _graph(chain: Chain, unary: gtsam.NonlinearFactorGraph, calibration: FloatArray) -> gtsam.NonlinearFactorGraph:
-    """The motions first, in the chain's order, then all else."""
-    graph = gtsam.NonlinearFactorGraph()
-    shift = np.array([motion.by_calibration @ calibration for motion in chain.motions]).reshape(-1, 3)
-    between = np.array([motion.before_from_after for motion in chain.motions]).reshape(-1, 3)
-    for k, moved in enumerate(se2.retract(between, shift)):
-        noise = gtsam.noiseModel.Gaussian.Covariance(chain.motions[k].covariance + _MOTION_FLOOR)
-        graph.add(gtsam.BetweenFactorPose2(k, k + 1, gtsam.Pose2(*moved), noise))
-    graph.push_back(unary)
-    return graph
+    def solve(self) -> Solution:
+        calibration = np.zeros(4)
+        graph = self._graph(calibration)
+        optimizer = gtsam.LevenbergMarquardtOptimizer(graph, _values(self._chain.guess))
+        values = optimizer.optimize()
+        error = optimizer.error()
+        if not np.isfinite(error):
+            raise ValueError("the graph's error is not finite: a factor holds a value that is not")
+        for _ in range(_MAX_STEPS if self._free.any() else 0):
+            step = self._linear(graph, values, calibration).optimize()
+            calibration[self._free] += step.at(self._count)
+            values = values.retract(_poses_only(step, self._count))
+            graph = self._graph(calibration)
+            prior = 0.5 * float(np.sum((calibration[self._free] * self._prior_weights) ** 2))
+            before, error = error, graph.error(values) + prior
+            if abs(before - error) <= _CONVERGED * error:
+                break
+        tree = self._linear(graph, values, calibration).eliminateMultifrontal()
+        solved = [values.atPose2(k) for k in range(self._count)]
+        return Solution(
+            np.array([[pose.x(), pose.y(), pose.theta()] for pose in solved]),
+            np.array([tree.marginalCovariance(k) for k in range(self._count)]),
+            OdometryCalibration(*calibration.tolist()),
+        )
+
+    def _graph(self, calibration: FloatArray) -> gtsam.NonlinearFactorGraph:
+        """The motions first, in the chain's order, then all else."""
+        graph = gtsam.NonlinearFactorGraph()
+        moved = se2.retract(self._between, self._by_calibration @ calibration)
+        for k, (pose, noise) in enumerate(zip(moved.tolist(), self._motion_noise, strict=True)):
+            graph.add(gtsam.BetweenFactorPose2(k, k + 1, gtsam.Pose2(*pose), noise))
+        graph.push_back(self._unary)
+        return graph
+
+    def _linear(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, calibration: FloatArray
+    ) -> gtsam.GaussianFactorGraph:
+        """Linearised at the values, with columns for the free calibration in the motions and a prior on it."""
+        linear = graph.linearize(values)
+        if not self._free.any():
+            return linear
+        out = gtsam.GaussianFactorGraph()
+        unit = gtsam.noiseModel.Unit.Create(3)
+        for k, column in enumerate(self._columns):
+            whitened = linear.at(k).augmentedJacobian()
+            out.add(
+                gtsam.JacobianFactor(
+                    k, whitened[:, :3], k + 1, whitened[:, 3:6], self._count, column, whitened[:, 6], unit
+                )
+            )
+        for i in range(len(self._columns), linear.size()):
+            out.add(linear.at(i))
+        unit = gtsam.noiseModel.Unit.Create(len(self._prior_weights))
+        towards_zero = -calibration[self._free] * self._prior_weights
+        out.add(gtsam.JacobianFactor(self._count, np.diag(self._prior_weights), towards_zero, unit))
+        return out
 
 
 def _unary(chain: Chain, config: Graph) -> gtsam.NonlinearFactorGraph:
@@ -118,44 +152,17 @@ def _add_native(graph: gtsam.NonlinearFactorGraph, node: int, factor: Factor, gu
             anchor = se2.apply(np.array([0.0, 0.0, factor.normal_rad]), np.array([factor.offset_m, free]))
             jacobian = factor.jacobian(np.array([*anchor, factor.heading_rad]))
             whitener = np.linalg.inv(np.linalg.cholesky(factor.covariance))
-            noise = robust(gtsam.noiseModel.Gaussian.SqrtInformation(np.vstack([whitener @ jacobian, np.zeros(3)]), False))
-            graph.add(gtsam.PriorFactorPose2(node, gtsam.Pose2(*anchor, factor.heading_rad), noise))
+            root = np.vstack([whitener @ jacobian, np.zeros(3)])
+            noise = robust(gtsam.noiseModel.Gaussian.SqrtInformation(root, False))
+            graph.add(gtsam.PriorFactorPose2(node, gtsam.Pose2(anchor[0], anchor[1], factor.heading_rad), noise))
         case _:
             raise TypeError(f"no native factor for {type(factor).__name__}")
-
-
-def _linear(
-    chain: Chain,
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    calibration: FloatArray,
-    prior_sigmas: FloatArray,
-    free: FloatArray,
-) -> gtsam.GaussianFactorGraph:
-    """Linearised at the values, the motions with columns for the free calibration, whose key is the number of nodes."""
-    linear = graph.linearize(values)
-    if not len(free):
-        return linear
-    key = len(chain.stamps_ns)
-    unit = gtsam.noiseModel.Unit.Create(3)
-    out = gtsam.GaussianFactorGraph()
-    for k, motion in enumerate(chain.motions):
-        whitened = linear.at(k).augmentedJacobian()
-        root = graph.at(k).noiseModel().R()
-        column = -root @ motion.by_calibration[:, free]
-        out.add(gtsam.JacobianFactor(k, whitened[:, :3], k + 1, whitened[:, 3:6], key, column, whitened[:, 6], unit))
-    for i in range(len(chain.motions), linear.size()):
-        out.add(linear.at(i))
-    weights = 1.0 / prior_sigmas[free]
-    unit = gtsam.noiseModel.Unit.Create(len(free))
-    out.add(gtsam.JacobianFactor(key, np.diag(weights), -calibration[free] * weights, unit))
-    return out
 
 
 def _values(poses: FloatArray) -> gtsam.Values:
     values = gtsam.Values()
     for k, pose in enumerate(poses):
-        values.insert(k, gtsam.Pose2(*pose))
+        values.insert(k, gtsam.Pose2(*pose.tolist()))
     return values
 
 
@@ -167,22 +174,9 @@ def _poses_only(step: gtsam.VectorValues, count: int) -> gtsam.VectorValues:
 
 
 def _with_big_stack(work: Callable[[], Solution]) -> Solution:
-    results: list[Solution] = []
-    errors: list[Exception] = []
-
-    def run() -> None:
-        try:
-            results.append(work())
-        except Exception as error:
-            errors.append(error)
-
     before = threading.stack_size(_STACK_BYTES)
     try:
-        thread = threading.Thread(target=run)
-        thread.start()
+        with ThreadPoolExecutor(max_workers=1) as pool:
+            return pool.submit(work).result()
     finally:
         threading.stack_size(before)
-    thread.join()
-    if errors:
-        raise errors[0]
-    return results[0]

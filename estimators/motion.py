@@ -29,8 +29,11 @@ class OdometryCalibration(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
-    """Motion over an interval: field_from_after = field_from_before @ before_from_after, off by a robot-frame tangent at
-    the end with that covariance (3, 3). by_calibration: (3, 4) that tangent's change with the odometry's calibration."""
+    """Motion over an interval: field_from_after = field_from_before @ before_from_after.
+
+    covariance: (3, 3) of its error, a robot-frame tangent at the end.
+    by_calibration: (3, 4) the change of that tangent with the odometry's calibration.
+    """
 
     before_from_after: FloatArray
     covariance: FloatArray

@@ -1,4 +1,4 @@
-"""Particle filter with filterpy's resampling: a cloud of poses weighed by the same factors that the other estimators take."""
+"""Particle filter with filterpy's resampling: a cloud of poses weighed by the factors that all estimators take."""
 
 import numpy as np
 from filterpy.monte_carlo import systematic_resample
@@ -98,13 +98,14 @@ class ParticleFilter:
 
     def _draw(self, covariance: FloatArray, count: int) -> FloatArray:
         values, vectors = np.linalg.eigh(covariance)
-        return self._random.standard_normal((count, 3)) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(self._random.standard_normal((count, 3)) @ root.T)
 
     def _likelihood(self, factor: Factor, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Of the factor at each particle, and the share of it that is not the outliers'.
 
-        An outlier's density is that of the innovation at the edge of what the cloud expects: it neither depends on units
-        nor lets one wrong factor sweep away a cloud that all others agree with.
+        An outlier's density is that of the innovation at the edge of what the cloud expects: it depends on no units and
+        lets no single wrong factor sweep away a cloud that all others agree with.
         """
         share = self._config.particles.outlier_share
         error = factor.error(self._poses)

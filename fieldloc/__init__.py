@@ -1,1 +1,1 @@
-"""What a soccer robot sees of a known field and what that says about its pose. Knows no estimator and no file format."""
+"""What a soccer robot sees of a known field and what that says about its pose. Knows no estimator, no file format."""

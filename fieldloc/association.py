@@ -54,5 +54,7 @@ def associate(scan: LandmarkScan, field: FieldMap, belief: Belief, taken: frozen
     cost = distance + np.log(np.linalg.det(total))
     cost[distance > _GATE] = np.inf
     missed = cost.min(initial=0.0, where=np.isfinite(cost)) + 1e3  # any landmark within the gate beats none
-    chosen = linear_sum_assignment(np.hstack([np.where(np.isfinite(cost), cost, 1e9), np.full((len(rows),) * 2, missed)]))
+    chosen = linear_sum_assignment(
+        np.hstack([np.where(np.isfinite(cost), cost, 1e9), np.full((len(rows),) * 2, missed)])
+    )
     return {rows[r]: columns[c] for r, c in zip(*chosen, strict=True) if c < len(columns)}

@@ -118,7 +118,9 @@ def _compare(options: argparse.Namespace) -> None:
         raise FieldlocError(f"--estimators {options.estimators}: no estimator {unknown[0]}; known: {', '.join(ALL)}")
     config = _config(options)
     if not options.logs:
-        _say(options, "no log given: comparing on the sample log that ships with fieldloc (a real robot among 17 tubes)")
+        _say(
+            options, "no log given: comparing on the sample log that ships with fieldloc (a real robot among 17 tubes)"
+        )
     scored = []
     for path in options.logs or [sample_path("woods")]:
         log = LogFile(path)
@@ -283,7 +285,11 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--truth", type=Path, required=True, metavar="LOG", help="the log with the truth")
     sub.add_argument("--json", action="store_true", help="all numbers, see docs/metrics.md")
     sub.add_argument(
-        "--max-difference-s", type=_metres, default=0.01, metavar="S", help="pair stamps this close; default: %(default)s"
+        "--max-difference-s",
+        type=_metres,
+        default=0.01,
+        metavar="S",
+        help="pair stamps this close; default: %(default)s",
     )
 
     sub = command("export", _export, "estimates as text", "fieldloc export best.mcap --format tum")

@@ -37,7 +37,7 @@ def squared_mahalanobis(residual: FloatArray, covariance: FloatArray) -> FloatAr
 
 
 def central_difference(f: Callable[[FloatArray], FloatArray], x: FloatArray, step: float = 1e-6) -> FloatArray:
-    """Numerical Jacobian (m, n) of f: (n,) -> (m,) at x. Angles in f must not cross their branch cut within the step."""
+    """Numerical Jacobian (m, n) of f: (n,) -> (m,) at x. Angles in f must not wrap within the step."""
     steps = step * np.eye(len(x))
     columns = [(f(x + d) - f(x - d)) / (2 * step) for d in steps]
     return np.stack(columns, axis=-1)

@@ -1,4 +1,4 @@
-"""The one error a user can cause: a bad file, configuration or log. The command line prints it as one line and exits 1."""
+"""The one error a user can cause: a bad file, configuration or log. The command line prints it and exits 1."""
 
 
 class FieldlocError(Exception):

@@ -31,7 +31,9 @@ class FactorBuilder:
         if not self._unknown:
             return ()
         labels = ", ".join(sorted(self._unknown))
-        return (f"{self._unknown.total()} observations left out: landmark {labels} is not on the map {self._field.name}",)
+        return (
+            f"{self._unknown.total()} observations left out: landmark {labels} is not on the map {self._field.name}",
+        )
 
     def build(self, measurement: LandmarkScan | Compass | InitialPose, belief: Belief | None) -> tuple[Factor, ...]:
         """The factors of one measurement, of errors independent of each other.

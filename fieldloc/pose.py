@@ -2,8 +2,8 @@
 
 `field_from_robot` maps robot coordinates to field coordinates: `apply(field_from_robot, point_in_robot)`.
 The tangent is ordered (x, y, heading) and acts on the right: `retract(pose, delta) = compose(pose, exp(delta))`, so a
-tangent covariance is expressed in the robot frame, as in gtsam.Pose2. Records that leave a function carry the covariance
-of (x, y, heading) in field axes instead; `rotate_covariance` goes from one to the other.
+tangent covariance is expressed in the robot frame, as in gtsam.Pose2. Records that leave a function carry the
+covariance of (x, y, heading) in field axes instead; `rotate_covariance` goes from one to the other.
 """
 
 import numpy as np

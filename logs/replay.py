@@ -50,7 +50,7 @@ class Replay:
 
 
 def load_recording(log: LogFile, field: FieldMap | None = None) -> Recording:
-    """`field` instead of the log's own map, if given. FieldlocError where there is no map or nothing to localize with."""
+    """`field` stands in for the log's own map. FieldlocError where there is no map or nothing to localize with."""
     field = log.field_map() if field is None else field
     if field is None:
         raise FieldlocError(f"{log.path}: holds no map; name one with --field, for example --field kidsize")
