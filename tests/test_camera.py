@@ -112,12 +112,19 @@ def test_jacobians_hold_on_the_axis_and_behind_a_fisheye() -> None:
 def test_a_lens_that_turns_back_has_no_image_beyond_the_turn() -> None:
     camera = Camera("pinhole", 640, 480, 500.0, 500.0, 320.0, 240.0, (-0.4, 0.0, 0.0, 0.0))
     turn = np.sqrt(1.0 / 1.2)  # r (1 - 0.4 r^2) grows up to here
-    pixels, visible = camera.project(np.array([[turn - 1e-3, 0.0, 1.0], [turn + 1e-3, 0.0, 1.0], [1.5, 0.0, 1.0]]))
-    assert np.isfinite(pixels[:, 0]).tolist() == [True, False, False]
+    pixels, visible = camera.project(np.array([[turn - 1e-3, 0, 1], [turn + 1e-3, 0, 1], [1.5, 0, 1], [2, 0, 1]]))
+    assert np.isfinite(pixels[:, 0]).tolist() == [True, False, False, False]
     assert not visible[1:].any()
     outermost = 320.0 + 500.0 * turn * (1.0 - 0.4 * turn**2)
     _, exists = camera.ray(np.array([[outermost - 1.0, 240.0], [outermost + 1.0, 240.0]]))
     assert exists.tolist() == [True, False]
+
+
+def test_a_decentred_lens_that_folds_has_no_image_beyond_the_fold() -> None:
+    camera = Camera("pinhole", 640, 480, 500.0, 500.0, 320.0, 240.0, (0.0, 0.0, 0.4, 0.0))
+    # on the axis y' = y + 1.2 y^2, which turns at y = -1 / 2.4, and x' = x (1 + 0.8 y)
+    pixels, _ = camera.project(np.array([[0.0, -0.41, 1.0], [0.0, -0.42, 1.0], [0.0, -1.0, 1.0]]))
+    assert np.isfinite(pixels[:, 0]).tolist() == [True, False, False]
 
 
 def test_a_fisheye_that_turns_back_has_no_ray_beyond_the_turn() -> None:

@@ -262,6 +262,46 @@ def test_a_line_that_is_not_on_the_map_is_left_unexplained() -> None:
     assert all(gaps(np.array([fix.pose for fix in more]), pose).min() < 1e-9 for pose in poses)
 
 
+def lines_across(distances: FloatArray, covariance: FloatArray) -> GroundLines:
+    """Short pieces across, at these distances ahead (n,), and the touch line 3 m to the left; covariance (n, n)."""
+    count = len(distances)
+    noise = 1e-4 * np.eye(2 + count)
+    noise[1:-1, 1:-1] = covariance
+    extents = np.array([*[[-0.3, 0.3]] * count, [-0.3, 0.3]])
+    return GroundLines(
+        0.0,
+        np.array([*[1] * count, 0]),
+        np.array([*distances, 3.0]),
+        extents,
+        np.full((count + 1, 2), 0.01),
+        noise,
+        np.arange(count + 1),
+        0.0,
+    )
+
+
+FROM_CENTRE = np.array([2.85, 3.9, 4.5])  # the lines ahead of a robot at the centre that looks along x
+
+
+def test_a_shared_error_leaves_the_gaps_between_lines_sharp() -> None:
+    own, shared = 0.02**2 * np.eye(3), np.full((3, 3), 0.5**2)
+    together = poses_from_lines(lines_across(FROM_CENTRE + 0.6, own + shared), SPL)
+    # 60 cm off, but every gap is right: nothing but the centre, from either side
+    assert len(together) == 2
+    np.testing.assert_allclose(np.abs([fix.pose[:2] for fix in together]), [[0.6, 0.0]] * 2, atol=1e-6)
+    alone = poses_from_lines(lines_across(FROM_CENTRE + 0.6, own + np.diag(np.diagonal(shared))), SPL)
+    assert len(alone) > 2
+
+
+def test_lines_that_fit_in_pairs_but_not_together_are_not_all_explained() -> None:
+    distances = np.array([2.85, 2.85, 2.85, 2.85])
+    pull = 0.027 * np.array([1.0, -1.0, 1.0, -1.0])  # 2.7 sigmas: 3.8 between two of them, too many in all
+    fits = poses_from_lines(lines_across(distances + 0.5 * pull, 1e-4 * np.eye(4)), SPL)
+    torn = poses_from_lines(lines_across(distances + pull, 1e-4 * np.eye(4)), SPL)
+    at_centre = [sum(np.abs(fix.pose[0]) < 0.05 and abs(fix.pose[1]) < 0.05 for fix in fixes) for fixes in (fits, torn)]
+    assert at_centre == [2, 8]  # the pose and its twin; then without each of the four in turn
+
+
 def test_a_turned_and_shifted_map_gives_turned_and_shifted_poses() -> None:
     shift = np.array([2.0, -1.0, 0.5])
     moved = FieldMap("moved", apply(shift, SPL.lines), np.zeros((0, 3)), ())

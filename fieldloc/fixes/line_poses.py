@@ -193,10 +193,10 @@ class _Problem:
         """The lines across one axis of the grid: which they are, their branches, the map offsets (p, n) of those."""
         lines = self._lines
         columns = np.flatnonzero(_axis(lines.families, quarter) == axis)
-        families = lines.families[columns]
-        sign, along = _SIGN[families, quarter], _SIGN[1 - families, quarter]
-        noise = self._covariance[np.ix_(1 + columns, 1 + columns)] * np.outer(sign, sign)
-        ends = lines.extents_m[columns] * along[:, None]
+        family = (1 - axis + quarter) % 2  # all of them are of one family
+        sign, along = _SIGN[family, quarter], _SIGN[1 - family, quarter]
+        noise = self._covariance[np.ix_(1 + columns, 1 + columns)]
+        ends = lines.extents_m[columns] * along
         slack = GATE_SIGMAS * lines.extents_sigma_m[columns] + self._tolerance_m
         order = np.argsort(ends, axis=1)
         ends, slack = np.take_along_axis(ends, order, axis=1), np.take_along_axis(slack, order, axis=1)

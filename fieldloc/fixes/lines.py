@@ -5,9 +5,9 @@ all lines of both families vote for the one bearing, each end with its own pixel
 tilt and roll may move within their covariance, for all lines together. So parallel lines that look skewed correct the
 tilt.
 
-A line n . p = d on the ground and the camera at (c, h) span a plane with the normal v = (h n, d - n . c): an end seen
-along the ray r (robot frame) is on the line when v . r = 0. That stays linear in r up to the horizon, unlike the ground
-point itself.
+A line n . p = d on the ground and the camera at (c, h) span a plane with the normal v = (n, (d - n . c) / h): an end
+seen along the ray r (robot frame) is on the line when v . r = 0. That stays linear in r up to the horizon, unlike the
+ground point itself. Its first part has unit length, so that no error can be made small by shrinking the world.
 """
 
 import dataclasses
@@ -24,7 +24,8 @@ from fieldloc.pose import FloatArray
 
 _ITERATIONS = 20
 _CONVERGED = 1e-8  # squared length of the last step, in sigmas; what is left after it is a hundredth of that
-_MISFIT_SIGMAS = 4.0
+_LONGEST_STEP_SIGMAS = 2.0  # of the mount, so that a false line cannot throw the camera away
+_MISFIT_SIGMAS = 3.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,19 +61,24 @@ def lines_on_the_ground(
         return None
     agree, bearing = agreeing(usable)
     segments = usable.only(agree)
-    while True:
+    while len(segments.observed):
         # an odd number of quarter turns away from the bearing is family 1
         families = np.rint((segments.bearing_rad - bearing) / (np.pi / 2)).astype(np.intp) % 2
         fit = _fit(mount, segments, families, bearing)
-        if fit is None:
-            return None
-        if len(families) < 3 or fit.misfit.max() < _MISFIT_SIGMAS**2:
-            break
-        segments = segments.only(np.arange(len(families)) != fit.misfit.argmax())
-    extents, sigmas = _extents(mount, segments, families, fit.bearing_rad)
-    return GroundLines(
-        fit.bearing_rad, families, fit.distances_m, extents, sigmas, fit.covariance, segments.observed, fit.chi_square
-    )
+        if fit.settled and fit.against.max() < _MISFIT_SIGMAS**2:
+            extents, sigmas = _extents(segments, families, fit)
+            return GroundLines(
+                bearing_rad=fit.bearing_rad,
+                families=families,
+                distances_m=fit.distances_m,
+                extents_m=extents,
+                extents_sigma_m=sigmas,
+                covariance=fit.covariance,
+                observed=segments.observed,
+                chi_square=fit.chi_square,
+            )
+        segments = segments.only(np.arange(len(families)) != fit.against.argmax())
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,49 +86,80 @@ class _Fit:
     bearing_rad: float
     distances_m: FloatArray
     covariance: FloatArray
-    misfit: FloatArray  # (n,) squared, in sigmas, of each line's two ends
     chi_square: float
+    against: FloatArray  # (n,) how much chi_square would fall without each line, to first order
+    settled: bool
+    mount: CameraMount  # as the lines correct it
+    shared_covariance: FloatArray  # (5, 5) of (bearing, height, pan, tilt, roll) after that
 
 
-def _fit(mount: CameraMount, segments: LineSegments, families: NDArray[np.intp], bearing: float) -> _Fit | None:
-    """Gauss-Newton over (bearing, n distances, 4 whitened errors of the mount); None if it does not settle."""
+def _fit(mount: CameraMount, segments: LineSegments, families: NDArray[np.intp], bearing: float) -> _Fit:
+    """Gauss-Newton over (bearing, n distances, 4 whitened errors of the mount)."""
+    lines = slice(1, 1 + len(families))
+    shared = slice(1 + len(families), None)
+    root = _square_root(mount.covariance)
+    first = _first_distances(mount, segments, families, bearing)
+    x = np.concatenate([[bearing], first, np.zeros(4)])
+    for _ in range(_ITERATIONS):
+        moved = _moved(mount, root @ x[shared])
+        if moved.height_m <= 0:
+            break
+        residual, jacobian, weight = _linearised(moved, root, segments, families, float(x[0]), x[lines])
+        information = np.einsum("nea,nef,nfb->ab", jacobian, weight, jacobian)
+        information[shared, shared] += np.eye(4)
+        gradient = np.einsum("nea,nef,nf->a", jacobian, weight, residual)
+        gradient[shared] += x[shared]
+        covariance = np.linalg.inv(information)
+        step = covariance @ gradient
+        settled = bool(gradient @ step < _CONVERGED)
+        if settled:
+            break
+        x = x - step * min(1.0, _LONGEST_STEP_SIGMAS / max(float(np.abs(step[shared]).max()), 1e-9))
+    misfit = np.einsum("ne,nef,nf->n", residual, weight, residual)
+    # each line has two residuals; its redundancy is what its own distance and its say in the rest leave over of them
+    redundancy = 2.0 - np.einsum("nea,nef,nfb,ab->n", jacobian, weight, jacobian, covariance)
+    to_shared = np.zeros((5, len(x)))
+    to_shared[0, 0] = 1.0
+    to_shared[1:, shared] = root
+    return _Fit(
+        bearing_rad=float(x[0]),
+        distances_m=x[lines],
+        covariance=covariance[: lines.stop, : lines.stop],
+        chi_square=float(misfit.sum() + x[shared] @ x[shared]),
+        against=np.where(redundancy > 1e-6, misfit / np.maximum(redundancy, 1e-6), 0.0),
+        settled=settled,
+        mount=moved,
+        shared_covariance=to_shared @ covariance @ to_shared.T,
+    )
+
+
+def _linearised(
+    mount: CameraMount,
+    root: FloatArray,
+    segments: LineSegments,
+    families: NDArray[np.intp],
+    bearing: float,
+    distances_m: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """v . r of both ends (n, 2), its Jacobian (n, 2, 1 + n + 4) and the inverse of its pixel covariance (n, 2, 2)."""
     count = len(families)
     index = np.arange(count)
-    root = _square_root(mount.covariance)
+    height, centre = mount.height_m, np.array([mount.x_m, mount.y_m])
+    rotation = robot_from_camera(mount)
+    rays = segments.rays @ rotation.T
+    normal, normal_slope = _normals(families, bearing)
+    plane = np.column_stack([normal, (distances_m - normal @ centre) / height])
+    plane_slope = np.column_stack([normal_slope, -normal_slope @ centre / height])
+    to_height = -plane[:, 2:] * rays[..., 2] / height
+    to_attitude = cross(rays, plane[:, None]) @ attitude_axes(mount).T
+    jacobian = np.zeros((count, 2, 1 + count + 4))
+    jacobian[..., 0] = np.einsum("nk,nek->ne", plane_slope, rays)
+    jacobian[index, :, 1 + index] = rays[..., 2] / height
+    jacobian[..., 1 + count :] = np.concatenate([to_height[..., None], to_attitude], axis=-1) @ root
+    to_pixel = np.einsum("nk,nekp->nep", plane @ rotation, segments.ray_to_pixel)
     own = segments.covariance_px2.reshape(count, 2, 2, 2, 2)
-    x = np.zeros(1 + count + 4)
-    x[0], x[1 : 1 + count] = bearing, _first_distances(mount, segments, families, bearing)
-    for _ in range(_ITERATIONS):
-        moved = _moved(mount, root @ x[1 + count :])
-        rotation = robot_from_camera(moved)
-        rays = segments.rays @ rotation.T
-        normal, normal_slope = _normals(families, x[0])
-        centre = np.array([mount.x_m, mount.y_m])
-        plane = np.column_stack([moved.height_m * normal, x[1 : 1 + count] - normal @ centre])
-        residual = np.einsum("nk,nek->ne", plane, rays)
-
-        jacobian = np.zeros((count, 2, 1 + count + 4))
-        slope = np.column_stack([moved.height_m * normal_slope, -normal_slope @ centre])
-        jacobian[..., 0] = np.einsum("nk,nek->ne", slope, rays)
-        jacobian[index, :, 1 + index] = rays[..., 2]
-        to_height = np.einsum("nk,nek->ne", normal, rays[..., :2])
-        to_attitude = cross(rays, plane[:, None]) @ attitude_axes(moved).T
-        jacobian[..., 1 + count :] = np.concatenate([to_height[..., None], to_attitude], axis=-1) @ root
-
-        to_pixel = np.einsum("nk,nekp->nep", plane @ rotation, segments.ray_to_pixel)
-        weight = np.linalg.inv(np.einsum("nep,nepfq,nfq->nef", to_pixel, own, to_pixel))
-        information = np.einsum("nea,nef,nfb->ab", jacobian, weight, jacobian)
-        information[1 + count :, 1 + count :] += np.eye(4)
-        gradient = np.einsum("nea,nef,nf->a", jacobian, weight, residual)
-        gradient[1 + count :] += x[1 + count :]
-        step = np.linalg.solve(information, gradient)
-        x = x - step
-        if gradient @ step < _CONVERGED:
-            covariance = np.linalg.inv(information)[: 1 + count, : 1 + count]
-            misfit = np.einsum("ne,nef,nf->n", residual, weight, residual)
-            shared = x[1 + count :]
-            return _Fit(float(x[0]), x[1 : 1 + count], covariance, misfit, float(misfit.sum() + shared @ shared))
-    return None
+    weight = np.linalg.inv(np.einsum("nep,nepfq,nfq->nef", to_pixel, own, to_pixel))
+    return np.einsum("nk,nek->ne", plane, rays), jacobian, weight
 
 
 def _first_distances(
@@ -134,24 +171,27 @@ def _first_distances(
     return np.asarray(np.sum(points.mean(axis=1) * _normals(families, bearing)[0], axis=-1))
 
 
-def _extents(
-    mount: CameraMount, segments: LineSegments, families: NDArray[np.intp], bearing: float
-) -> tuple[FloatArray, FloatArray]:
+def _extents(segments: LineSegments, families: NDArray[np.intp], fit: _Fit) -> tuple[FloatArray, FloatArray]:
     """Where the ends are along their lines, lower first, and the standard deviations (n, 2) each."""
-    rotation = robot_from_camera(mount)
+    rotation = robot_from_camera(fit.mount)
     rays = segments.rays @ rotation.T
-    along = _normals(1 - families, bearing)[0]  # family 0 runs along family 1's normal, and the other way round
-    ahead = np.einsum("nk,nek->ne", along, rays[..., :2]) / -rays[..., 2]  # in heights
+    down = np.maximum(-rays[..., 2], 1e-9)  # the fit may have lifted a far end to the horizon
+    along, along_slope = _normals(1 - families, fit.bearing_rad)  # each family runs along the other's normal
+    ahead = np.einsum("nk,nek->ne", along, rays[..., :2]) / down  # in heights
     to_ray = np.empty_like(rays)
     to_ray[..., :2] = along[:, None]
     to_ray[..., 2] = ahead
-    to_ray *= (mount.height_m / -rays[..., 2])[..., None]
+    to_ray *= (fit.mount.height_m / down)[..., None]
+    centre = np.array([fit.mount.x_m, fit.mount.y_m])
+    points = centre + fit.mount.height_m * rays[..., :2] / down[..., None]
+    to_bearing = np.einsum("nk,nek->ne", along_slope, points)
+    to_attitude = cross(rays, to_ray) @ attitude_axes(fit.mount).T
+    to_shared = np.concatenate([to_bearing[..., None], ahead[..., None], to_attitude], axis=-1)
     to_pixel = np.einsum("nek,nekp->nep", to_ray @ rotation, segments.ray_to_pixel)
     own = np.stack([segments.covariance_px2[:, :2, :2], segments.covariance_px2[:, 2:, 2:]], axis=1)
-    to_mount = np.concatenate([ahead[..., None], cross(rays, to_ray) @ attitude_axes(mount).T], axis=-1)
     variance = np.einsum("nep,nepq,neq->ne", to_pixel, own, to_pixel)
-    variance += np.einsum("nea,ab,neb->ne", to_mount, mount.covariance, to_mount)
-    ends = mount.height_m * ahead + (along @ np.array([mount.x_m, mount.y_m]))[:, None]
+    variance += np.einsum("nea,ab,neb->ne", to_shared, fit.shared_covariance, to_shared)
+    ends = np.einsum("nk,nek->ne", along, points)
     order = np.argsort(ends, axis=1)
     return np.take_along_axis(ends, order, axis=1), np.sqrt(np.take_along_axis(variance, order, axis=1))
 
