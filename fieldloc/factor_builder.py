@@ -1,17 +1,19 @@
 """Measurements and a map to factors: an analytic fix where there is one, the observations themselves where not."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from fieldloc import pose as se2
-from fieldloc.association import Belief, associate, seen_in_robot
+from fieldloc.association import Belief, seen_in_robot
 from fieldloc.camera import Camera
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, PoseFactor
 from fieldloc.field import FieldMap
 from fieldloc.fixes.landmarks import LandmarkFix, landmark_fix
-from fieldloc.measurements import Compass, InitialPose, LandmarkScan
+from fieldloc.identification import identify
+from fieldloc.image_factors import image_factors
+from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan
 
 _MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFix
 # chance of a good scan to fail is one in ten thousand: chi-square at 2n - 3 degrees of freedom for n = 2, 3, ...
@@ -25,24 +27,36 @@ class FactorBuilder:
         self._field = field
         self._camera = camera
         self._unknown: Counter[str] = Counter()
+        self._images_without_camera = 0
 
     def warnings(self) -> tuple[str, ...]:
         """What could not be used so far."""
-        if not self._unknown:
-            return ()
-        labels = ", ".join(sorted(self._unknown))
-        return (
-            f"{self._unknown.total()} observations left out: landmark {labels} is not on the map {self._field.name}",
-        )
+        out = []
+        if self._unknown:
+            labels = ", ".join(sorted(self._unknown))
+            count = self._unknown.total()
+            out.append(f"{count} observations left out: landmark {labels} is not on the map {self._field.name}")
+        if self._images_without_camera:
+            out.append(f"{self._images_without_camera} images left out: the log says nothing about the camera")
+        return tuple(out)
 
-    def build(self, measurement: LandmarkScan | Compass | InitialPose, belief: Belief | None) -> tuple[Factor, ...]:
+    def build(
+        self, measurement: LandmarkScan | ImageFeatures | Compass | InitialPose, belief: Belief | None
+    ) -> tuple[Factor, ...]:
         """The factors of one measurement, of errors independent of each other.
 
         belief: where the robot is thought to be at that moment; with it landmarks without a label find theirs.
         """
         match measurement:
             case LandmarkScan():
+                self._count_unknown(measurement.labels)
                 return self._scan(measurement, belief)
+            case ImageFeatures():
+                if self._camera is None:
+                    self._images_without_camera += 1
+                    return ()
+                self._count_unknown(post.label for post in measurement.posts)
+                return image_factors(measurement, self._camera, self._field, belief)
             case Compass():
                 variance = np.array([[measurement.sigma_rad**2]])
                 return (HeadingFactor(measurement.stamp_ns, measurement.heading_rad, variance),)
@@ -50,8 +64,11 @@ class FactorBuilder:
                 turned = se2.rotate_covariance(measurement.covariance, -measurement.pose[2])
                 return (PoseFactor(measurement.stamp_ns, measurement.pose, turned),)
 
+    def _count_unknown(self, labels: Iterable[str | None]) -> None:
+        self._unknown.update(label for label in labels if label is not None and self._field.index_of(label) is None)
+
     def _scan(self, scan: LandmarkScan, belief: Belief | None) -> tuple[Factor, ...]:
-        on_map = self._on_map(scan, belief)
+        on_map = identify(scan, self._field, belief)
         rows = [i for i, index in enumerate(on_map) if index is not None]
         indices = [index for index in on_map if index is not None]
         while len(rows) >= 2:
@@ -65,20 +82,6 @@ class FactorBuilder:
             worst = int(np.argmax(fix.chi2_each))
             del rows[worst], indices[worst]
         return self._landmarks(scan, rows, indices)
-
-    def _on_map(self, scan: LandmarkScan, belief: Belief | None) -> list[int | None]:
-        """The map index of each landmark of a scan, None where it is not known."""
-        out: list[int | None] = []
-        for label in scan.labels:
-            index = None if label is None else self._field.index_of(label)
-            if label is not None and index is None:
-                self._unknown[label] += 1
-            out.append(index)
-        if belief is not None and None in scan.labels:
-            taken = frozenset(index for index in out if index is not None)
-            for row, index in associate(scan, self._field, belief, taken).items():
-                out[row] = index
-        return out
 
     def _fix(self, scan: LandmarkScan, rows: Sequence[int], indices: Sequence[int]) -> LandmarkFix | None:
         fixes = landmark_fix(
