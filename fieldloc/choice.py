@@ -11,9 +11,14 @@ from fieldloc.covariance import squared_mahalanobis
 from fieldloc.factors import Factor, LineFactor, PoseFactor, innovation_covariance
 from fieldloc.fixes.base import Fix
 from fieldloc.fixes.line_poses import LineConstraint
+from fieldloc.pose import rotation
 
 _SURE = 0.99
-_GATES = {2: 13.82, 3: 16.27}  # chi-square by degrees of freedom: a right solution fails once in a thousand
+_GATES = {
+    2: 13.82,
+    3: 16.27,
+}  # chi-square by degrees of freedom: a right solution fails once in a thousand_REACH_SIGMAS = 4.0
+_REACH_SIGMAS = 4.0
 _AnyFix = TypeVar("_AnyFix", bound=Fix)
 
 
@@ -26,6 +31,7 @@ def choose_fix(stamp_ns: int, fixes: Sequence[_AnyFix], belief: Belief | None) -
 
 def choose_constraint(stamp_ns: int, found: Sequence[LineConstraint], belief: Belief) -> LineFactor | None:
     """The same for lines of one direction, which without a belief determine nothing."""
+    found = [constraint for constraint in found if _could_see(constraint, belief)]
     factors = [_line_factor(stamp_ns, constraint) for constraint in found]
     chosen = _choose(factors, [constraint.log_weight for constraint in found], belief)
     return None if chosen is None else factors[chosen]
@@ -49,6 +55,15 @@ def _log_agreement(factor: Factor, belief: Belief) -> float:
     if distance > _GATES[len(residual)]:
         return -math.inf
     return -0.5 * (distance + float(np.linalg.slogdet(expected)[1]))
+
+
+def _could_see(constraint: LineConstraint, belief: Belief) -> bool:
+    """Whether the line is long enough to be seen from where the robot is thought to be."""
+    along = rotation(0.5 * math.pi) @ constraint.normal
+    at = float(along @ belief.pose[:2])
+    in_robot = rotation(-belief.pose[2]) @ along
+    reach = _REACH_SIGMAS * math.sqrt(float(in_robot @ belief.covariance[:2, :2] @ in_robot))
+    return bool(constraint.along_m[0] - reach < at < constraint.along_m[1] + reach)
 
 
 def _line_factor(stamp_ns: int, constraint: LineConstraint) -> LineFactor:
