@@ -91,8 +91,7 @@ def _project_fisheye(distortion: Distortion, rays: FloatArray) -> tuple[FloatArr
     bend = slope * z / length2 - scale
     jacobian[..., :2] += bend[..., None, None] * outward[..., :, None] * outward[..., None, :]
     jacobian[..., 2] = -(slope * side / length2)[..., None] * outward
-    behind = on_axis & ~(z > 0)
-    return scale[..., None] * xy, jacobian, np.asarray((angle < _fisheye_limit(distortion)) & ~behind)
+    return scale[..., None] * xy, jacobian, np.asarray(angle < _fisheye_limit(distortion))
 
 
 def _unproject_fisheye(distortion: Distortion, plane: FloatArray) -> tuple[FloatArray, Mask]:

@@ -2,12 +2,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fieldloc.camera import Camera
+from fieldloc.covariance import central_difference
 from fieldloc.field import load_field
-from fieldloc.fixes.line_segments import modulo_quarter
-from fieldloc.fixes.lines import GroundLines, lines_on_the_ground
+from fieldloc.fixes.line_segments import LineSegments, agreeing, modulo_quarter, usable_segments
+from fieldloc.fixes.lines import GroundLines, linearised, lines_on_the_ground
 from fieldloc.ground import project_points, robot_ground_points
 from fieldloc.measurements import CameraMount, LineObservation
 from fieldloc.pose import FloatArray, apply, inverse
@@ -132,7 +135,7 @@ def test_lines_of_neither_family_are_left_out() -> None:
     mount = mount_at(MOUNT_AT, NOISE)
     ends, _ = image_of(CAMERA, mount, POSE)
     # nearly as many as the field's lines, all to one side of them: a plain mean would end in between
-    directions = np.array([0.4, 0.5, 0.6, 0.7]) + modulo_quarter(-POSE[2])
+    directions = np.array([0.4, 0.45, 0.5, 0.55, 0.6]) + modulo_quarter(-POSE[2])
     clutter = [false_line(mount, np.array([1.6, 0.4]) + rng.uniform(-0.3, 0.3, 2), angle) for angle in directions]
     mixed = [clutter[0], *ends[:2], clutter[1], *ends[2:], *clutter[2:]]
     assert len(ends) == 6
@@ -144,7 +147,25 @@ def test_lines_of_neither_family_are_left_out() -> None:
     np.testing.assert_allclose(lines.distances_m, clean.distances_m, atol=1e-9)
 
 
-@pytest.mark.parametrize("skew_deg", [-10.0, -6.0, 6.0, 10.0])
+def test_the_most_agreeing_bearing_wins_over_the_mean_modulo_90_degrees() -> None:
+    quarter = np.pi / 2
+    bearing = np.array([0.75, 0.77 + quarter, 0.76 - quarter, 0.1, 0.2, 0.3, 0.4])  # three agree, across +-pi/4 or not
+    count = len(bearing)
+    nothing = np.zeros((count, 4, 4))
+    rays = np.zeros((count, 2, 3))
+    covariance = 0.02**2 * np.eye(count)
+    segments = LineSegments(np.arange(count), rays, np.zeros((count, 2, 3, 2)), nothing, bearing, covariance)
+    agree, common = agreeing(segments)
+    assert agree.tolist() == [True] * 3 + [False] * 4
+    np.testing.assert_allclose(common, 0.76, atol=1e-3)
+    agree, common = agreeing(
+        dataclasses.replace(segments, bearing_rad=bearing + 0.03)
+    )  # 0.78, 0.79, 0.80: over the edge
+    assert agree.tolist() == [True] * 3 + [False] * 4
+    np.testing.assert_allclose(common, 0.79 - quarter, atol=1e-3)
+
+
+@pytest.mark.parametrize("skew_deg", [-10.0, -3.0, 3.0, 10.0])
 def test_a_line_a_little_askew_is_found_although_an_attitude_error_could_excuse_it_alone(skew_deg: float) -> None:
     mount = mount_at(MOUNT_AT, NOISE)
     ends, _ = image_of(CAMERA, mount, POSE)
@@ -215,6 +236,55 @@ def test_the_same_segment_twice_is_one_line_seen_twice() -> None:
     assert once is not None
     assert twice is not None
     np.testing.assert_allclose(twice.distances_m, [once.distances_m[0]] * 2, atol=1e-9)
+
+
+def test_segments_count_from_four_sigmas_below_the_horizon() -> None:
+    # 120 px beside the axis tilt and roll of 0.01 rad move the horizon by 0.01 sqrt(450^2 + 120^2) = 4.66 px
+    for row, usable in ((239.5 + 3.8 * 4.66, False), (239.5 + 4.2 * 4.66, True)):
+        ends = np.array([[199.5, row], [439.5, row]])
+        lines = lines_on_the_ground(CAMERA, LEVEL, (observation(ends, 0.1),))
+        assert (lines is not None) == usable
+
+
+@pytest.mark.parametrize("camera", [CAMERA, FISHEYE])
+def test_the_covariance_of_the_bearings_follows_from_central_differences(camera: Camera) -> None:
+    ends, _ = image_of(camera, mount_at(MOUNT_AT, NOISE), POSE)
+
+    def bearings(x: FloatArray) -> FloatArray:
+        moved = tuple(observation(e, 0.5) for e in x[4:].reshape(-1, 2, 2))
+        segments = usable_segments(camera, mount_at(x[:4], NOISE), moved)
+        assert segments is not None
+        return segments.bearing_rad
+
+    jacobian = central_difference(bearings, np.concatenate([MOUNT_AT, ends.ravel()]), step=1e-5)
+    noise = np.diag(np.concatenate([np.diagonal(NOISE), np.full(ends.size, 0.25)]))
+    segments = usable_segments(camera, mount_at(MOUNT_AT, NOISE), tuple(observation(e, 0.5) for e in ends))
+    assert segments is not None
+    assert len(segments.observed) == len(ends)
+    np.testing.assert_allclose(segments.bearing_covariance, jacobian @ noise @ jacobian.T, rtol=1e-6)
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    mount=st.tuples(st.floats(0.3, 1.0), st.floats(-3.0, 3.0), st.floats(0.3, 0.8), st.floats(-0.3, 0.3)).map(np.array),
+    bearing=st.floats(-0.8, 0.8),
+    distances=st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0)).map(np.array),
+)
+def test_the_jacobian_of_the_fit_equals_central_differences(
+    mount: FloatArray, bearing: float, distances: FloatArray
+) -> None:
+    ends = np.array([[[100.0, 400.0], [500.0, 420.0]], [[200.0, 450.0], [250.0, 390.0]]])
+    pair = usable_segments(CAMERA, mount_at(mount, 1e-6 * NOISE), tuple(observation(e, 0.5) for e in ends))
+    assert pair is not None
+    root = np.diag([0.1, 0.2, 0.3, 0.4]) + 0.05
+    families = np.array([0, 1])
+
+    def at(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return linearised(mount_at(mount + root @ x[3:], NOISE), root, pair, families, float(x[0]), x[1:3])
+
+    x = np.array([bearing, *distances, 0.0, 0.0, 0.0, 0.0])
+    numeric = central_difference(lambda x: at(x)[0].ravel(), x)
+    np.testing.assert_allclose(at(x)[1].reshape(4, 7), numeric, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize("change", [{"height_m": 0.0}, {"height_m": np.nan}, {"tilt_rad": np.nan}])

@@ -104,7 +104,7 @@ def _fit(mount: CameraMount, segments: LineSegments, families: NDArray[np.intp],
         moved = _moved(mount, root @ x[shared])
         if moved.height_m <= 0:
             break
-        residual, jacobian, weight = _linearised(moved, root, segments, families, float(x[0]), x[lines])
+        residual, jacobian, weight = linearised(moved, root, segments, families, float(x[0]), x[lines])
         information = np.einsum("nea,nef,nfb->ab", jacobian, weight, jacobian)
         information[shared, shared] += np.eye(4)
         gradient = np.einsum("nea,nef,nf->a", jacobian, weight, residual)
@@ -133,7 +133,7 @@ def _fit(mount: CameraMount, segments: LineSegments, families: NDArray[np.intp],
     )
 
 
-def _linearised(
+def linearised(
     mount: CameraMount,
     root: FloatArray,
     segments: LineSegments,
@@ -141,7 +141,10 @@ def _linearised(
     bearing: float,
     distances_m: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """v . r of both ends (n, 2), its Jacobian (n, 2, 1 + n + 4) and the inverse of its pixel covariance (n, 2, 2)."""
+    """v . r of both ends (n, 2), its Jacobian (n, 2, 1 + n + 4) and the inverse of its pixel covariance (n, 2, 2).
+
+    The Jacobian is to the bearing, the distances and the mount's whitened error e: (height, pan, tilt, roll) + root e.
+    """
     count = len(families)
     index = np.arange(count)
     height, centre = mount.height_m, np.array([mount.x_m, mount.y_m])
