@@ -21,6 +21,7 @@ Match = tuple[int, ...]
 """Per observation the landmark's index, -1 where unexplained."""
 
 MISSED = 1e-4  # of what is right, by each gate
+_ROUNDS = 2
 GATE_1, GATE_2 = float(chdtri(1, MISSED)), float(chdtri(2, MISSED))
 
 
@@ -66,7 +67,7 @@ class _Sweep:
         """Pairs of observations of which at least one holds no outlier, and the pairs of landmarks (s, 2) as far apart.
 
         Each outlier spoils one of as many separate pairs as there may be outliers, and one more is left over. Those
-        that leave the fewest poses are taken.
+        that leave the fewest poses are taken; and once more, for `verify` can be misled by an outlier near a landmark.
         """
         n = len(self._points)
         distance = np.abs(self._map[None] - self._map[:, None])
@@ -92,37 +93,38 @@ class _Sweep:
         if 2 * (self._allowed + 1) > n:
             yield from ((i, k, on_map) for _, i, k, on_map in options)
             return
-        used: set[int] = set()
-        for _, i, k, on_map in options:
-            if i not in used and k not in used and len(used) < 2 * (self._allowed + 1):
-                used |= {i, k}
-                yield i, k, on_map
+        taken: set[tuple[int, int]] = set()
+        for _ in range(_ROUNDS):
+            used: set[int] = set()
+            for _, i, k, on_map in options:
+                if (i, k) not in taken and i not in used and k not in used and len(used) < 2 * (self._allowed + 1):
+                    used |= {i, k}
+                    taken.add((i, k))
+                    yield i, k, on_map
 
     def verify(self, i: int, k: int, on_map: IntArray) -> IntArray:
-        """Lay observations i and k onto each pair of landmarks (s, 2), and match the others to the nearest: (h, n)."""
-        first, second = self._map[on_map[:, 0]], self._map[on_map[:, 1]]
-        turn = (second - first) / (self._seen[k] - self._seen[i])
-        turn /= np.maximum(np.abs(turn), 1e-12)
-        trace = self._trace
-        share = trace[i] / (trace[i] + trace[k])
-        anchor = first + share * (second - first)
-        lever = self._seen - (self._seen[i] + share * (self._seen[k] - self._seen[i]))
-        # an upper bound of the error of where each observation lands
-        turn_variance = (trace[i] + trace[k]) / abs(self._seen[k] - self._seen[i]) ** 2
-        variance = trace + trace[i] * (1.0 - share) + turn_variance * np.abs(lever) ** 2
-        matches = np.full((len(on_map), len(lever)), -1)
-        matches[:, i], matches[:, k] = on_map[:, 0], on_map[:, 1]
+        """Lay observations i and k onto each pair of landmarks (s, 2), and match the others to the nearest: (h, n).
+
+        The nearest ones come first, and each that finds its landmark joins the alignment on which the next one relies.
+        """
+        pair = [i, k]
+        n = len(self._seen)
+        matches = np.full((len(on_map), n), -1)
+        matches[:, pair] = on_map
+        weight = np.zeros((len(on_map), n))
+        weight[:, pair] = 1.0 / self._trace[pair]
         missed = np.zeros(len(on_map))
-        for o in np.argsort(variance):
-            if o in (i, k):
-                continue
-            off = np.abs((anchor + turn * lever[o])[:, None] - self._map)
+        far = np.abs(self._seen - self._seen[pair].mean())
+        for o in [int(o) for o in np.argsort(far + self._trace) if o not in pair]:
+            anchor, seen_anchor, turn, slack = self._align(matches, weight)
+            off = np.abs((anchor + turn * (self._seen[o] - seen_anchor))[:, None] - self._map)
             nearest = np.argmin(off, axis=1)
-            near = off[np.arange(len(off)), nearest] ** 2 < GATE_2 * variance[o]
+            near = off[np.arange(len(off)), nearest] ** 2 < GATE_2 * (self._trace[o] + slack[:, o])
             matches[:, o] = np.where(near, nearest, -1)
+            weight[:, o] = near / self._trace[o]
             missed += ~near
             keep = missed <= self._allowed
-            anchor, turn, matches, missed = anchor[keep], turn[keep], matches[keep], missed[keep]
+            matches, weight, missed = matches[keep], weight[keep], missed[keep]
         return matches
 
     def refine(self, matches: IntArray) -> list[tuple[float, Match]]:
@@ -132,7 +134,7 @@ class _Sweep:
         rows = np.arange(len(matches))
         weight = (matches >= 0) / self._trace
         for _ in range(self._allowed + 1):
-            anchor, seen_anchor, turn = self._align(matches, weight)
+            anchor, seen_anchor, turn, slack = self._align(matches, weight)
             residual = np.abs(
                 anchor[:, None] + turn[:, None] * (self._seen - seen_anchor[:, None]) - self._map[matches]
             )
@@ -147,13 +149,9 @@ class _Sweep:
         nearest = np.argmin(np.abs(to), axis=-1)
         # chi2 of the miss in the sensor's frame, with room for the error of the alignment
         miss = np.take_along_axis(to, nearest[..., None], axis=-1)[..., 0] * np.conj(turn)[:, None]
-        lever = np.abs(self._seen - seen_anchor[:, None]) ** 2
-        total = np.maximum(weight.sum(axis=1), 1e-300)
-        inertia = np.maximum((weight * lever).sum(axis=1), 1e-300)
-        slack = 0.5 / total[:, None] + 0.5 * lever / inertia[:, None]
-        survey = 0.5 * np.trace(self._survey, axis1=-2, axis2=-1)[nearest]
-        xx = self._covariance[:, 0, 0] + slack + survey
-        yy = self._covariance[:, 1, 1] + slack + survey
+        more = 0.5 * (slack + np.trace(self._survey, axis1=-2, axis2=-1)[nearest])
+        xx = self._covariance[:, 0, 0] + more
+        yy = self._covariance[:, 1, 1] + more
         xy = self._covariance[:, 0, 1]
         chi2 = (yy * miss.real**2 - 2 * xy * miss.real * miss.imag + xx * miss.imag**2) / (xx * yy - xy**2)
         out = np.where(chi2 < GATE_2, nearest, -1)
@@ -167,14 +165,23 @@ class _Sweep:
         enough = (out < 0).sum(axis=1) <= self._allowed + 1
         return list(zip(cost[enough].tolist(), map(tuple, out[enough].tolist()), strict=True))
 
-    def _align(self, matches: IntArray, weight: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Rigid alignments (h): landmark = anchor + turn (seen - seen_anchor), weighted by (h, n)."""
+    def _align(
+        self, matches: IntArray, weight: FloatArray
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray, FloatArray]:
+        """Rigid alignments (h): landmark = anchor + turn (seen - seen_anchor), weighted by (h, n).
+
+        The last one is the mean square (h, n) of what their errors move each observation by.
+        """
         total = np.maximum(weight.sum(axis=1), 1e-300)
         there = self._map[matches]
         anchor = (weight * there).sum(axis=1) / total
         seen_anchor = (weight * self._seen).sum(axis=1) / total
-        turn = (weight * (there - anchor[:, None]) * np.conj(self._seen - seen_anchor[:, None])).sum(axis=1)
-        return anchor, seen_anchor, turn / np.maximum(np.abs(turn), 1e-300)
+        lever = self._seen - seen_anchor[:, None]
+        turn = (weight * (there - anchor[:, None]) * np.conj(lever)).sum(axis=1)
+        turn /= np.maximum(np.abs(turn), 1e-300)
+        squared = np.abs(lever) ** 2
+        inertia = np.maximum((weight * squared).sum(axis=1), 1e-300)
+        return anchor, seen_anchor, turn, 1.0 / total[:, None] + squared / inertia[:, None]
 
 
 def _complex(points: FloatArray) -> ComplexArray:

@@ -9,8 +9,8 @@ from itertools import combinations, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldloc.covariance import propagate
-from fieldloc.fixes.inputs import exactly, posts_covariance_of, semidefinite
+from fieldloc.covariance import check_covariance, propagate
+from fieldloc.fixes.inputs import exactly, posts_covariance_of
 from fieldloc.fixes.landmarks import LandmarkFix
 from fieldloc.pose import FloatArray, compose, inverse, wrap
 
@@ -44,13 +44,12 @@ def resection_fix(
     n = len(positions)
     exactly(positions, (n, 2), "positions")
     exactly(bearings_rad, (n,), "bearings_rad")
-    noise = semidefinite(exactly(covariance, (n, n), "covariance"), n)
-    if n and np.linalg.eigvalsh(noise)[0] <= 0.0:
-        raise ValueError("covariance is not positive definite")
+    exactly(covariance, (n, n), "covariance")
     survey = posts_covariance_of(positions_covariance, n)
     mount = np.zeros(3) if robot_from_sensor is None else exactly(robot_from_sensor, (3,), "robot_from_sensor")
     if n < 3 or not (np.isfinite(positions).all() and np.isfinite(bearings_rad).all()):
         return ()
+    noise = check_covariance(covariance, n)
     problem = _Problem(positions, noise, survey, mount)
     fitted = problem.fit(bearings_rad)
     if fitted is None:
