@@ -1,4 +1,4 @@
-"""The settings of all estimators in one frozen tree: the shipped defaults, the TOML file, what is stored with results."""
+"""The settings of all estimators in one frozen tree: the defaults, the TOML file, what is stored with results."""
 
 from dataclasses import dataclass, field
 

@@ -273,3 +273,14 @@ def test_a_map_cannot_be_changed_behind_an_estimator_s_back() -> None:
     copied = FieldMap("copied", lines, NO_CIRCLES, ())
     lines[0, 0, 0] = 9.0
     assert copied.lines[0, 0, 0] == 0.0
+
+
+def test_the_documented_example_is_a_map() -> None:
+    text = (Path(__file__).parents[1] / "docs" / "field-maps.md").read_text(encoding="utf-8")
+    example = text.split("```toml\n")[1].split("```")[0]
+    field = parse_field(example, "docs/field-maps.md")
+    assert field.labels[-1] == "beacon"
+    assert len(field.lines) == 17
+    # and with its commented lines and circles, which the text says to put before the first table
+    commented = [line[2:] for line in example.splitlines() if line.startswith(("# lines", "# circles"))]
+    assert len(parse_field("\n".join([*commented, example]), "docs").lines) == 19
