@@ -76,6 +76,11 @@ def test_one_odd_landmark_breaks_the_half_turn() -> None:
         marked = FieldMap("marked", field.lines, field.circles, (*field.landmarks, odd))
         # one on the centre turns onto itself and says nothing
         assert len(marked.symmetries) == (1 if odd.position[0] == 0.0 else 0)
+    for circle in ([0.5, 0.0, 0.75], [4.0, 0.0, 0.2]):
+        marked = FieldMap("marked", field.lines, np.vstack([field.circles, circle]), field.landmarks)
+        assert len(marked.symmetries) == 0
+    pair = np.array([[1.0, 0.0, 0.5], [-1.0, 0.0, 0.6]])
+    assert len(FieldMap("pair", field.lines, pair, field.landmarks).symmetries) == 0
     thicker = (landmark("post_opponent_left", 4.5, 0.8, 0.12), *field.landmarks[1:])
     assert len(FieldMap("thicker", field.lines, field.circles, thicker).symmetries) == 0
 

@@ -265,6 +265,19 @@ def test_an_outlier_among_bearings_stays_unexplained() -> None:
     assert close(first, pose, 1e-4)
 
 
+def test_noisy_bearings_of_landmarks_all_round_are_identified() -> None:
+    rng = np.random.default_rng(5)
+    found = 0
+    for _ in range(12):
+        positions = rng.uniform(-5, 5, (9, 2))
+        pose = np.array([*rng.uniform(-2, 2, 2), rng.uniform(-3, 3)])
+        which = rng.permutation(9)[:7]
+        bearings = seen(pose, positions[which])[:, 1] + 0.01 * rng.normal(size=7)
+        fixes = label_bearings(positions, bearings, 1e-4 * np.eye(7), within=(-5, -5, 5, 5), max_unexplained=0)
+        found += bool(fixes) and list(fixes[0].matches) == which.tolist()
+    assert found >= 11
+
+
 def test_bearings_that_cannot_be_identified_give_nothing() -> None:
     for positions, bearings in (
         (np.eye(2), np.array([0.1, 0.2, 0.5])),

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from fieldloc.covariance import central_difference, propagate
 from fieldloc.fixes.landmarks import landmark_fix
+from fieldloc.fixes.swing import robot_pose, second_moment
 from fieldloc.pose import FloatArray, apply, compose, inverse, rotation, wrap
 
 SIGMA = np.array([0.03, 0.02])
@@ -196,6 +197,28 @@ def test_the_covariance_covers_the_errors_where_the_likelihood_is_a_banana(dista
     # three degrees of freedom: never overconfident by over a quarter, where first order can be by orders of magnitude
     assert 1.5 < np.mean(nees) < 3.75
     assert np.percentile(nees, 99) < 3 * chi2.isf(0.01, 3)
+
+
+def test_the_second_moment_of_a_swinging_arm_is_that_of_samples() -> None:
+    rng = np.random.default_rng(9)
+    state, middle, mount = (5.0, 1.0, 0.4), complex(2.0, -1.0), (0.3, -0.2, 0.5)
+    root = np.array([[0.5, 0.0, 0.0], [0.1, 0.05, 0.0], [0.08, 0.02, 0.2]])
+    p = root @ root.T
+    upper = (p[0, 0], p[0, 1], p[0, 2], p[1, 1], p[1, 2], p[2, 2])
+    pose, first_order = robot_pose(state, upper, middle, mount)
+    samples = np.array(state) + rng.normal(size=(40_000, 3)) @ root.T
+    # the robot carries the sensor, which sees the landmarks' middle at the first two numbers of its state
+    sensors = np.column_stack([np.zeros((len(samples), 2)), samples[:, 2]])
+    sensors[:, :2] = np.array([middle.real, middle.imag]) - apply(sensors, samples[:, :2])
+    errors = compose(sensors, inverse(np.array(mount))) - np.array(pose)
+    errors[:, 2] = wrap(errors[:, 2])
+    sampled = errors.T @ errors / len(errors)
+    moment = second_moment(state, upper, pose, middle)
+    scale = np.sqrt(np.diag(sampled))
+    difference = (np.array(moment) - sampled[np.triu_indices(3)]) / np.outer(scale, scale)[np.triu_indices(3)]
+    assert np.abs(difference).max() < 4 * np.sqrt(3 / len(samples))
+    first = (np.array(first_order) - sampled[np.triu_indices(3)]) / np.outer(scale, scale)[np.triu_indices(3)]
+    assert np.abs(first).max() > 0.1
 
 
 def test_two_landmarks_whose_order_is_uncertain_are_seen_from_either_side() -> None:

@@ -78,6 +78,7 @@ def test_bearings_that_no_pose_can_have_give_none() -> None:
     # the right bearings, but one landmark seen straight behind where it is
     bearings = seen(np.array([1.0, 0.5, 0.3]), GOAL_AND_POLE)
     bearings[2] += np.pi
+    assert not three_point_resection(GOAL_AND_POLE, bearings)[1]
     assert resection_fix(GOAL_AND_POLE, bearings, 1e-4 * np.eye(3)) == ()
 
 

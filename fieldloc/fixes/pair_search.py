@@ -84,10 +84,8 @@ class _Sweep:
             noise = self._covariance[i] + self._covariance[k]
             variance = float(along @ noise @ along)
             across = float(np.trace(noise)) - variance
-            # errors across a pair make it look longer, by about across / (2 apart)
-            low = apart - min(across / apart, apart)
-            slack = np.sqrt(GATE_1 * (variance + survey))
-            on_map = np.argwhere((distance > low - slack) & (distance < apart + slack))
+            on_map = np.argwhere((distance - apart) ** 2 < GATE_1 * (variance + survey))
+            # how many poses follow, and how uncertain their headings are
             options.append((len(on_map) * (1.0 + 100.0 * across / apart**2), i, k, on_map))
         options.sort(key=lambda option: option[0])
         if 2 * (self._allowed + 1) > n:
