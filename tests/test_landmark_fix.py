@@ -199,10 +199,11 @@ def test_the_covariance_covers_the_errors_where_the_likelihood_is_a_banana(dista
     assert np.percentile(nees, 99) < 3 * chi2.isf(0.01, 3)
 
 
-def test_the_second_moment_of_a_swinging_arm_is_that_of_samples() -> None:
+@pytest.mark.parametrize("state", [(5.0, 1.0, 0.4), (0.5, 0.1, 2.0)])
+def test_the_second_moment_of_a_swinging_arm_is_that_of_samples(state: tuple[float, float, float]) -> None:
     rng = np.random.default_rng(9)
-    state, middle, mount = (5.0, 1.0, 0.4), complex(2.0, -1.0), (0.3, -0.2, 0.5)
-    root = np.array([[0.5, 0.0, 0.0], [0.1, 0.05, 0.0], [0.08, 0.02, 0.2]])
+    middle, mount = complex(2.0, -1.0), (0.3, -0.2, 0.5)
+    root = np.array([[0.5, 0.0, 0.0], [0.1, 0.05, 0.0], [0.08, 0.02, 0.3]])
     p = root @ root.T
     upper = (p[0, 0], p[0, 1], p[0, 2], p[1, 1], p[1, 2], p[2, 2])
     pose, first_order = robot_pose(state, upper, middle, mount)
