@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 
 from fieldloc.camera import Camera
 from fieldloc.covariance import central_difference
-from fieldloc.fixes.base import Fix
 from fieldloc.fixes.cylinder import edge_bearings
-from fieldloc.fixes.mounted import fix_of_robot
 from fieldloc.fixes.post_feet import PostSights, fix_two_posts_of_image, sight_posts
+from fieldloc.fixes.post_fix import PostFix, fix_of_robot
 from fieldloc.ground import project_points
 from fieldloc.measurements import CameraMount, PostObservation
 from fieldloc.pose import FloatArray, apply, compose, inverse, wrap
@@ -204,6 +203,10 @@ def test_a_callers_mistake_is_a_value_error() -> None:
         sight_posts(CAMERA, MOUNT, (replace(good, foot_covariance_px2=-np.eye(2)),))
     with pytest.raises(ValueError, match="mount"):
         sight_posts(CAMERA, replace(MOUNT, covariance=np.eye(3)), (good,))
+    with pytest.raises(ValueError, match="radius_m"):
+        sight_posts(CAMERA, MOUNT, (good,), 0.0)
+    with pytest.raises(ValueError, match="needs 2"):
+        fix_two_posts_of_image(CAMERA, MOUNT, (good,), GOAL)  # type: ignore[arg-type]
     exact = replace(good, foot_covariance_px2=np.zeros((2, 2)))
     with pytest.raises(ValueError, match="not positive definite"):
         sight_posts(CAMERA, replace(MOUNT, covariance=np.zeros((4, 4))), (exact,))
@@ -214,15 +217,16 @@ def test_a_callers_mistake_is_a_value_error() -> None:
 def test_a_fix_of_a_sensor_becomes_one_of_its_robot(x: float, y: float, heading: float, turn: float) -> None:
     robot_from_sensor = np.array([0.3, -0.2, turn])
     covariance = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.01]])
-    fix = Fix(np.array([x, y, heading]), covariance, -1.5, "somewhere")
+    fix = PostFix(np.array([x, y, heading]), covariance, -1.5, "somewhere", 0.5, 0.1 * covariance)
     robot = fix_of_robot(fix, robot_from_sensor)
     np.testing.assert_allclose(compose(robot.pose, robot_from_sensor)[:2], fix.pose[:2], atol=1e-12)
 
     def moved(pose: FloatArray) -> FloatArray:
-        change = fix_of_robot(Fix(pose, covariance), robot_from_sensor).pose - robot.pose
+        change = fix_of_robot(replace(fix, pose=pose), robot_from_sensor).pose - robot.pose
         change[2] = wrap(change[2])
         return change
 
     jacobian = central_difference(moved, fix.pose)
     np.testing.assert_allclose(robot.covariance, jacobian @ covariance @ jacobian.T, atol=1e-8)
-    assert (robot.log_weight, robot.solver) == (-1.5, "somewhere")
+    np.testing.assert_allclose(robot.first_order_covariance, 0.1 * robot.covariance, atol=1e-12)
+    assert (robot.log_weight, robot.solver, robot.chi2) == (-1.5, "somewhere", 0.5)

@@ -6,7 +6,8 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2 as chi_square
 
 from fieldloc.covariance import central_difference, squared_mahalanobis
-from fieldloc.fixes.ranged_posts import RangedFix, fix_alike_ranged_posts, fix_ranged_posts
+from fieldloc.fixes.post_fix import PostFix
+from fieldloc.fixes.ranged_posts import fix_alike_ranged_posts, fix_ranged_posts
 from fieldloc.fixes.sizes import HalfWidths, InverseRanges, PaperSizes, Ranges, SizeModel
 from fieldloc.fixes.two_posts import fix_two_posts
 from fieldloc.pose import FloatArray, wrap
@@ -41,7 +42,7 @@ def pose_error(found: FloatArray, truth: FloatArray) -> FloatArray:
     return error
 
 
-def solve(seen: FloatArray, noise: FloatArray, model: SizeModel = WIDTHS, **more: FloatArray) -> tuple[RangedFix, ...]:
+def solve(seen: FloatArray, noise: FloatArray, model: SizeModel = WIDTHS, **more: FloatArray) -> tuple[PostFix, ...]:
     return fix_ranged_posts(seen[:2], seen[2:], noise, GOAL, model, **more)
 
 
@@ -167,7 +168,7 @@ def test_a_far_fix_is_not_overconfident(pose: list[float], sigma_px: float) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize(("pose", "sigma_px"), FAR)
 def test_no_far_fix_is_overconfident(pose: list[float], sigma_px: float) -> None:
-    assert mean_nees(np.array(pose), edge_noise(600.0, sigma_px), 600) < 1.3
+    assert mean_nees(np.array(pose), edge_noise(600.0, sigma_px), 300) < 1.3
 
 
 @pytest.mark.slow
@@ -175,7 +176,7 @@ def test_the_covariance_of_random_fixes_is_their_sampled_spread() -> None:
     rng = np.random.default_rng(7)
     noise = edge_noise(600.0, 0.2)
     white = []
-    for _ in range(2_000):
+    for _ in range(1_000):
         direction, distance = rng.uniform(np.pi / 2 + 0.25, 3 * np.pi / 2 - 0.25), rng.uniform(1.0, 4.5)
         truth = np.array([4.5 + distance * np.cos(direction), distance * np.sin(direction), rng.uniform(-3, 3)])
         fixes = solve(view(truth) + rng.normal(size=4) * np.sqrt(np.diag(noise)), noise)
@@ -183,8 +184,8 @@ def test_the_covariance_of_random_fixes_is_their_sampled_spread() -> None:
         each = [np.linalg.solve(np.linalg.cholesky(f.covariance), e) for f, e in zip(fixes, errors, strict=True)]
         white.append(min(each, key=lambda w: float(w @ w)))
     second_moment = np.array(white).T @ np.array(white) / len(white)
-    # 2,000 samples leave 4 % of their own
-    assert np.linalg.norm(second_moment - np.eye(3)) / np.sqrt(3) < 0.1
+    # 1,000 samples leave 6 % of their own
+    assert np.linalg.norm(second_moment - np.eye(3)) / np.sqrt(3) < 0.12
 
 
 def test_alike_posts_are_told_apart_by_the_distance_between_them() -> None:
@@ -238,7 +239,20 @@ def test_observations_that_contradict_each_other_give_finite_fixes_or_none(
         assert np.linalg.eigvalsh(fix.covariance / np.outer(scale, scale))[0] > -1e-9
 
 
+@pytest.mark.parametrize("separation_m", [1e-6, 0.05, 0.1])
+def test_posts_that_stand_in_each_other_give_finite_fixes_or_none(separation_m: float) -> None:
+    posts = np.array([[1.0, 0.0], [1.0, separation_m]])
+    for sizes in ([0.05, 0.05], [1.5, 1.5], [0.05, 1.5]):
+        for fix in fix_ranged_posts(np.array([0.1, 0.2]), np.array(sizes), edge_noise(600.0, 0.3), posts, WIDTHS):
+            assert np.all(np.isfinite(fix.pose))
+            assert np.all(np.isfinite(fix.covariance))
+
+
 def test_a_callers_mistake_is_a_value_error() -> None:
+    with pytest.raises(ValueError, match="radius_m"):
+        HalfWidths(0.0)
+    with pytest.raises(ValueError, match="diameter_m"):
+        PaperSizes(600.0, np.array([0.1, -0.1]))
     seen, noise = view(np.array([2.0, -0.8, 0.3])), edge_noise(600.0, 0.3)
     with pytest.raises(ValueError, match="bearings_rad"):
         fix_ranged_posts(np.zeros(3), seen[2:], noise, GOAL, WIDTHS)

@@ -161,6 +161,7 @@ def test_the_covariance_takes_correlated_inputs_and_the_posts_own_errors() -> No
     np.testing.assert_allclose(first_order, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
     (fix,) = fix_two_posts(inputs[:2], inputs[2:], noise, GOAL, survey)
     np.testing.assert_array_equal(fix.covariance, first_order)
+    np.testing.assert_array_equal(fix.first_order_covariance, first_order)
     uncorrelated = found.first_order_covariance(np.diag(np.diag(noise)), survey)
     assert np.abs(uncorrelated / first_order - 1).max() > 0.05  # the correlations do matter here
 
@@ -367,7 +368,11 @@ def test_a_callers_mistake_is_a_value_error() -> None:
     with pytest.raises(ValueError, match="covariance"):
         fix_two_posts(bearings, sizes, np.eye(3), GOAL)
     with pytest.raises(ValueError, match="semidefinite"):
-        fix_two_posts(bearings, sizes, np.diag([1.0, 1.0, 1.0, -1.0]), GOAL)
+        fix_two_posts(bearings, sizes, np.diag([1.0, 1.0, 1.0, -1e-12]), GOAL)
+    exact_but_correlated = np.diag([0.0, 1.0, 1.0, 1.0])
+    exact_but_correlated[0, 1] = exact_but_correlated[1, 0] = 1e-7
+    with pytest.raises(ValueError, match="semidefinite"):
+        fix_two_posts(bearings, sizes, exact_but_correlated, GOAL)
     with pytest.raises(ValueError, match="symmetric"):
         fix_two_posts(bearings, sizes, np.eye(4) + np.eye(4, k=1), GOAL)
     with pytest.raises(ValueError, match="finite"):

@@ -1,5 +1,4 @@
-"""Where the robot stands when all it knows of two posts is the angle between them and the ratio of their sizes (sec.
-2.1).
+"""Where the robot stands when all it knows of two posts is their angle and the ratio of their sizes (sec. 2.1).
 
 The paper's symbols: posts p1, p2 at distance A; C = |robot - p1|, B = |robot - p2|; alpha the angle between the posts
 as the robot sees them, unsigned; d1, d2 their apparent sizes; beta, delta the triangle's angles at p1, p2. Only the
@@ -7,8 +6,7 @@ ratio d2 / d1 matters, so sizes may have any unit in which size is inversely pro
 
 An unsigned angle leaves two mirror images: the robot on the right-hand side of the way from p1 to p2 (the side of eq.
 6, p1 is the left post as the robot sees it) and on the left-hand side. Both are always returned, in that order. With
-bearings instead of
-an angle the side is known: `fieldloc.fixes.two_posts`.
+bearings instead of an angle the side is known: `fieldloc.fixes.two_posts`.
 """
 
 from dataclasses import dataclass
@@ -28,10 +26,9 @@ _RIGHT_LEFT = np.array([1.0, -1.0])
 class CentralAngleArc:
     """All places on one side of two posts from which they are seen under the same angle, eqs. 1 and 2.
 
-    centre: (2,) metres, field frame. radius_m: of the circle through both posts.
-    start_rad: direction from the centre to post 1. sweep_rad: from there along the arc to post 2, counter-clockwise
-    positive. The arc is the circle's major arc where the angle is acute, half of it at 90 degrees (Thales), the minor
-    arc beyond.
+    centre: (2,) metres, field frame. radius_m: of the circle through both posts. start_rad: direction from the centre
+    to post 1. sweep_rad: from there along the arc to post 2, counter-clockwise positive. The arc is the circle's major
+    arc where the angle is acute, half of it at 90 degrees (Thales), the minor arc beyond.
     """
 
     centre: FloatArray

@@ -13,12 +13,14 @@ axis. On the axis it is f D / sqrt(C^2 - R^2), 0.5 % too wide at ten radii.
 Bearings are counter-clockwise from the forward axis, so the left edge has the larger one.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.covariance import propagate
-from fieldloc.fixes.base import Fix
 from fieldloc.fixes.inputs import exactly, semidefinite, trailing
+from fieldloc.fixes.post_fix import PostFix
 from fieldloc.fixes.two_posts import fix_two_posts
 from fieldloc.pose import FloatArray, wrap
 
@@ -62,8 +64,7 @@ def half_width_slope(range_m: FloatArray, radius_m: FloatArray | float) -> Float
 
 
 def axis_from_edges(edges_rad: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(bearing of the axis, half-width) (..., 2) from the bearings (..., 2) of the left and right edge, and where there
-    is one.
+    """(bearing of the axis, half-width) (..., 2) from the bearings (..., 2) of the left and right edge; mask (...).
 
     The Jacobian is [[1/2, 1/2], [1/2, -1/2]] everywhere. No cylinder has its left edge on the right, nor one as wide as
     the horizon; zeros there and for NaN.
@@ -96,8 +97,7 @@ def two_post_inputs_from_edges(
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """What `two_posts` takes, from the edges (..., 2 posts, 2) and their covariance (..., 4, 4) of (l1, r1, l2, r2).
 
-    (bearing 1, bearing 2, size 1, size 2) (..., 4) with size = sin(half-width), the covariance (..., 4, 4), and mask
-    (...).
+    (bearing 1, bearing 2, size 1, size 2) (..., 4) with size = sin(half-width), the covariance (..., 4, 4), mask (...).
     """
     axes, masks = axis_from_edges(trailing(edges_rad, (2, 2), "edges_rad"))
     mask = np.asarray(masks.all(-1))
@@ -112,7 +112,7 @@ def two_post_inputs_from_edges(
 
 def fix_two_posts_from_edges(
     edges_rad: FloatArray, covariance: FloatArray, posts: FloatArray, posts_covariance: FloatArray | None = None
-) -> tuple[Fix, ...]:
+) -> tuple[PostFix, ...]:
     """The pose from the edges' bearings (2 posts, 2) of two labelled posts of equal diameter, which need not be known.
 
     covariance: (4, 4) of (left 1, right 1, left 2, right 2), with the correlation that a shared calibration or mount
@@ -123,7 +123,7 @@ def fix_two_posts_from_edges(
     if not mask:
         return ()
     fixes = fix_two_posts(inputs[:2], inputs[2:], noise, posts, posts_covariance)
-    return tuple(Fix(f.pose, f.covariance, solver="cylinder.fix_two_posts_from_edges") for f in fixes)
+    return tuple(replace(fix, solver="cylinder.fix_two_posts_from_edges") for fix in fixes)
 
 
 def paper_size_px(range_m: FloatArray, diameter_m: FloatArray | float, focal_px: float) -> FloatArray:

@@ -32,16 +32,17 @@ def semidefinite(covariance: FloatArray, size: int, name: str = "covariance") ->
     matrix = trailing(covariance, (size, size), name)
     if not np.all(np.isfinite(matrix)):
         raise ValueError(f"{name} holds a value that is not finite")
-    transposed = np.swapaxes(matrix, -1, -2)
     # in units of each standard deviation, so that radians and pixels or metres are held to the same rule
     diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     whitened = matrix / (scale[..., :, None] * scale[..., None, :])
     if np.any(np.abs(whitened - np.swapaxes(whitened, -1, -2)) > _RELATIVE_ROUNDING):
         raise ValueError(f"{name} is not symmetric")
-    if np.any(np.linalg.eigvalsh(0.5 * (whitened + np.swapaxes(whitened, -1, -2))) < -_RELATIVE_ROUNDING * size):
+    whitened = 0.5 * (whitened + np.swapaxes(whitened, -1, -2))
+    exact_but_correlated = np.any(matrix != 0, axis=-1) & (diagonal <= 0)
+    if np.any(exact_but_correlated) or np.any(np.linalg.eigvalsh(whitened) < -_RELATIVE_ROUNDING * size):
         raise ValueError(f"{name} is not positive semidefinite")
-    return np.asarray(0.5 * (matrix + transposed))
+    return np.asarray(0.5 * (matrix + np.swapaxes(matrix, -1, -2)))
 
 
 def posts_covariance_of(covariance: FloatArray | None, number: int) -> FloatArray:

@@ -72,8 +72,7 @@ def arc_of_one_post(
     size_model: SizeModel,
     post_covariance: FloatArray | None = None,
 ) -> tuple[RangeBearingArc, ...]:
-    """The arc of one post (2,) from its bearing and size, covariance (2, 2) of these; post_covariance (2, 2) field
-    axes.
+    """The arc of one post (2,) from its bearing and size, covariance (2, 2) of these; post_covariance (2, 2).
 
     The range's variance is the second moment over the size's noise, which is first order's while the size is many
     standard deviations; empty where the size has no distance, within about three standard deviations of zero, or for

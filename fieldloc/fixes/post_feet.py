@@ -2,10 +2,9 @@
 
 A camera of known height and tilt sees a post's foot under the horizon, and how far under says how far away; a camera of
 known focal length sees a post of known diameter so and so wide. Both are linear in the inverse of the distance, so that
-is what is
-estimated: per post (bearing, 1 / distance) of its axis from the point on the ground below the camera, bearings from the
-robot's forward axis. Height, pan, tilt and roll move everything in one image together, so all posts share one
-covariance.
+is what is estimated: per post (bearing, 1 / distance) of its axis from the point on the ground below the camera,
+bearings from the robot's forward axis. Height, pan, tilt and roll move everything in one image together, so all posts
+share one covariance.
 """
 
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ from fieldloc.camera import Camera
 from fieldloc.covariance import check_covariance, propagate
 from fieldloc.fixes.cylinder import axis_from_edges
 from fieldloc.fixes.inputs import exactly, semidefinite
-from fieldloc.fixes.mounted import fix_of_robot
-from fieldloc.fixes.ranged_posts import RangedFix, fix_ranged_posts
+from fieldloc.fixes.post_fix import PostFix, fix_of_robot
+from fieldloc.fixes.ranged_posts import fix_ranged_posts
 from fieldloc.fixes.sizes import InverseRanges
 from fieldloc.ground import attitude_axes, cross, ground_jacobians, robot_from_camera, robot_ground_points
 from fieldloc.measurements import CameraMount, PostObservation
@@ -31,11 +30,10 @@ _BY_BEARING_AND_SIZE = [0, 2, 1, 3]  # (b1, i1, b2, i2) in the order of the two-
 class PostSights:
     """Posts as seen from the point on the ground below the camera.
 
-    seen: which of the image's posts, in their order. bearing_inverse_range: (n, 2) radians from the robot's forward
-    axis, 1 / m.
+    seen: which of the image's posts, in their order.
+    bearing_inverse_range: (n, 2) radians from the robot's forward axis, 1 / m.
     covariance: (2n, 2n) of b1, i1, b2, i2, ...; noise of the pixels and of the mount.
-    chi2: of feet against widths, chi-square with `redundancy` degrees of freedom: whether height, tilt and diameter
-    agree.
+    chi2: of feet against widths, chi-square of `redundancy` degrees: whether height, tilt and diameter agree.
     """
 
     seen: tuple[int, ...]
@@ -77,6 +75,8 @@ def sight_posts(
     show nothing of use (a foot on or above the horizon, edges in the wrong order, NaN) are left out. ValueError for a
     foot without a covariance, covariances that are none, and pixels so exact that nothing could be weighed.
     """
+    if radius_m is not None and not radius_m > 0:
+        raise ValueError(f"radius_m is {radius_m}, must be positive or None")
     mount_noise = exactly(semidefinite(mount.covariance, 4, "mount.covariance"), (4, 4), "mount.covariance")
     sights = []
     for index, post in enumerate(posts):
@@ -96,11 +96,13 @@ def fix_two_posts_of_image(
     positions: FloatArray,
     radius_m: float | None = None,
     positions_covariance: FloatArray | None = None,
-) -> tuple[RangedFix, ...]:
+) -> tuple[PostFix, ...]:
     """The robot's poses, most likely first, from two identified posts at positions (2, 2), as `fix_ranged_posts`.
 
     Empty where not both posts show their distance.
     """
+    if len(posts) != 2:
+        raise ValueError(f"{len(posts)} posts, needs 2")
     sights = sight_posts(camera, mount, posts, radius_m)
     if len(sights.seen) < 2:
         return ()

@@ -98,7 +98,7 @@ class RangedLikelihood:
         information = jacobian.T @ self.weight @ jacobian
         for _ in range(_MAX_STEPS):
             gradient = jacobian.T @ self.weight @ residual
-            scale = np.diagonal(information)
+            scale = np.maximum(np.diagonal(information), 1e-12 * np.trace(information))
             step = np.linalg.solve(information + damping * np.diag(scale), gradient)
             last = bool(np.sum(gradient**2 / scale) < _CONVERGED**2)
             trial = theta + step

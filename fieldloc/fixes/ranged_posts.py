@@ -2,21 +2,22 @@
 
 Focal length and diameter known, each post gives a distance of its own, and the three unknowns have four observations.
 The pose is the most likely one. One circle of eq. 1 can hold two places that explain both distances nearly equally
-well, one to each side
-of its top: each is a solution with its own weight, unless the valley between them is too shallow to tell them apart.
+well, one to each side of its top: each is a solution with its own weight, unless the valley between them is too shallow
+to tell them apart.
 
 Far posts leave a banana along the circle. Where first order, (J^T W J)^-1, does not cover it, the covariance is the
 second moment about the solution of the likelihood along the circle, the robot anywhere on the field equally likely
 beforehand.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import replace
 
 import numpy as np
 
 from fieldloc.covariance import check_covariance, propagate
-from fieldloc.fixes.base import Fix
 from fieldloc.fixes.inputs import exactly, posts_covariance_of
+from fieldloc.fixes.post_fix import PostFix
 from fieldloc.fixes.ranged_likelihood import Profile, RangedLikelihood, survey_noise
 from fieldloc.fixes.sizes import SizeModel
 from fieldloc.fixes.spread import is_first_order_honest
@@ -29,13 +30,6 @@ _GRID_STEP = 0.1  # of rho, relative to |omega|: the profile has no finer featur
 _GRID = 201
 
 
-@dataclass(frozen=True, slots=True)
-class RangedFix(Fix):
-    """chi2: the weighted squared residual, chi-square with one degree of freedom when all is as modelled."""
-
-    chi2: float = 0.0
-
-
 def fix_ranged_posts(
     bearings_rad: FloatArray,
     sizes: FloatArray,
@@ -43,7 +37,7 @@ def fix_ranged_posts(
     posts: FloatArray,
     size_model: SizeModel,
     posts_covariance: FloatArray | None = None,
-) -> tuple[RangedFix, ...]:
+) -> tuple[PostFix, ...]:
     """All poses that explain two labelled posts (2, 2), most likely first.
 
     bearings_rad (2,), sizes (2,) in what the model takes, covariance (4, 4) of (bearing 1, bearing 2, size 1, size 2),
@@ -61,14 +55,14 @@ def fix_ranged_posts(
         return ()
     observed = np.concatenate([bearings, sizes])
     places = _minima(RangedLikelihood(points, size_model, observed, noise), ranges)
-    fixes = []
+    fixes: list[PostFix] = []
     for place in places:
         theta, likelihood = place, RangedLikelihood(points, size_model, observed, noise)
         for _ in range(_REWEIGHTINGS if survey.any() else 0):
             total = noise + survey_noise(points, survey, size_model, likelihood.poses(theta)[0][:2])
             likelihood = RangedLikelihood(points, size_model, observed, total)
             theta, _, _ = likelihood.polish(theta)
-        fixes.append(_fix(likelihood, theta, [_valley(likelihood, theta, p)[0] for p in places if p is not place]))
+        fixes += _fix(likelihood, theta, [_valley(likelihood, theta, p)[0] for p in places if p is not place])
     return _best_first(fixes)
 
 
@@ -79,12 +73,12 @@ def fix_alike_ranged_posts(
     positions: FloatArray,
     size_model: SizeModel,
     positions_covariance: FloatArray | None = None,
-) -> tuple[RangedFix, ...]:
-    """The same when the two posts may be any two of the map's (n, 2), in either order: the weights tell the pairs
-    apart.
+) -> tuple[PostFix, ...]:
+    """The same when the two posts may be any two of the map's (n, 2), in either order.
 
-    All posts have the model's diameter. How far the posts seen are from each other is known with the scale, so pairs at
-    another distance get a chi2 and a weight to match; nothing is cut off here. positions_covariance: (n, 2, 2).
+    The weights tell the pairs apart. All posts have the model's diameter. How far the posts seen are from each other is
+    known with the scale, so pairs at another distance get a chi2 and a weight to match; nothing is cut off here.
+    positions_covariance: (n, 2, 2).
     """
     number = len(positions)
     places = exactly(positions, (number, 2), "positions")
@@ -93,7 +87,7 @@ def fix_alike_ranged_posts(
     pairs = [[i, j] for i in range(number) for j in range(number) if i != j]
     return _best_first(
         [
-            RangedFix(fix.pose, fix.covariance, fix.log_weight, "ranged_posts.fix_alike_ranged_posts", fix.chi2)
+            replace(fix, solver="ranged_posts.fix_alike_ranged_posts")
             for pair in pairs
             for fix in fix_ranged_posts(bearings_rad, sizes, covariance, places[pair], size_model, survey[pair])
         ]
@@ -128,17 +122,20 @@ def _valley(likelihood: RangedLikelihood, one: FloatArray, other: FloatArray) ->
     return float(rho[highest]), float(chi2[highest])
 
 
-def _fix(likelihood: RangedLikelihood, theta: FloatArray, borders: list[float]) -> RangedFix:
+def _fix(likelihood: RangedLikelihood, theta: FloatArray, borders: list[float]) -> list[PostFix]:
+    """The fix at a minimum; none where nothing there depends on one of the unknowns, as inside of a post."""
     theta, chi2, information = likelihood.polish(theta)
+    if np.linalg.eigvalsh(information)[0] <= 0:
+        return []
     pose, by_theta = likelihood.poses(theta)
     covariance_of_theta = np.asarray(np.linalg.inv(information))
     first_order = propagate(by_theta, covariance_of_theta)
-    ends = _ends(likelihood, theta[2], chi2, float(np.sqrt(covariance_of_theta[2, 2])), borders)
+    ends = _ends(likelihood, float(theta[2]), chi2, math.sqrt(covariance_of_theta[2, 2]), borders)
     along = likelihood.profile(np.asarray(np.linspace(*ends, _GRID), dtype=np.float64))
     spread = _second_moment(likelihood, along, pose)
     covariance = first_order if is_first_order_honest(first_order, spread) else spread
-    weight = -0.5 * (chi2 + float(np.linalg.slogdet(likelihood.noise)[1]) + 4 * np.log(2 * np.pi))
-    return RangedFix(pose, covariance, weight, "ranged_posts.fix_ranged_posts", chi2)
+    weight = -0.5 * (chi2 + float(np.linalg.slogdet(likelihood.noise)[1]) + 4 * math.log(math.tau))
+    return [PostFix(pose, covariance, weight, "ranged_posts.fix_ranged_posts", chi2, first_order)]
 
 
 def _ends(
@@ -150,10 +147,9 @@ def _ends(
     for side in (-1.0, 1.0):
         gone = likelihood.profile(rho + side * reach).chi2 > chi2 + _BEYOND
         far = float(reach[int(np.argmax(gone)) if np.any(gone) else -1])
-        ends.append(
-            rho + side * min([far, *(side * (border - rho) for border in borders if side * (border - rho) > 0)])
-        )
-    return float(ends[0]), float(ends[1])
+        ahead = [side * (border - rho) for border in borders if side * (border - rho) > 0]
+        ends.append(rho + side * min(far, *ahead, math.inf))
+    return ends[0], ends[1]
 
 
 def _second_moment(likelihood: RangedLikelihood, along: Profile, pose: FloatArray) -> FloatArray:
@@ -168,5 +164,5 @@ def _second_moment(likelihood: RangedLikelihood, along: Profile, pose: FloatArra
     return np.asarray(np.einsum("k,kij->ij", weights / weights.sum(), moments))
 
 
-def _best_first(fixes: list[RangedFix]) -> tuple[RangedFix, ...]:
+def _best_first(fixes: list[PostFix]) -> tuple[PostFix, ...]:
     return tuple(sorted(fixes, key=lambda fix: -fix.log_weight))

@@ -49,6 +49,10 @@ class HalfWidths:
 
     radius_m: FloatArray | float
 
+    def __post_init__(self) -> None:
+        if not np.all(np.asarray(self.radius_m) > 0):
+            raise ValueError(f"radius_m is {self.radius_m}, must be positive")
+
     def of_range(self, range_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         # inside the post the angle stays at 90 degrees: a search that strays there is sent back by its residual
         sine = np.minimum(self.radius_m / range_m, 1.0)
@@ -67,6 +71,10 @@ class PaperSizes:
 
     focal_px: float
     diameter_m: FloatArray | float
+
+    def __post_init__(self) -> None:
+        if not (self.focal_px > 0 and np.all(np.asarray(self.diameter_m) > 0)):
+            raise ValueError(f"focal_px is {self.focal_px}, diameter_m {self.diameter_m}, must be positive")
 
     def of_range(self, range_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         size = self.focal_px * self.diameter_m / range_m

@@ -1,11 +1,10 @@
 """Covariances that stay honest where first-order propagation does not: far, small posts.
 
 The angle between two posts is known to a thousandth of a radian, the ratio of their sizes to some percent. So the error
-of a fix
-runs along the circle of equal angle, and the circle bends: a straight ellipse as thin as first order draws it misses
-the true pose by many of its standard deviations. The second moment about the solution, taken over the noise of the
-sizes by Gauss-Hermite quadrature and to first order over the rest, covers it. It tends to the first-order covariance as
-the noise gets small.
+of a fix runs along the circle of equal angle, and the circle bends: a straight ellipse as thin as first order draws it
+misses the true pose by many of its standard deviations. The second moment about the solution, taken over the noise of
+the sizes by Gauss-Hermite quadrature and to first order over the rest, covers it. It tends to the first-order
+covariance as the noise gets small.
 """
 
 from collections.abc import Callable
@@ -16,8 +15,7 @@ from numpy.typing import NDArray
 from fieldloc.covariance import propagate
 from fieldloc.pose import FloatArray, wrap
 
-# pose (..., 3), its Jacobian (..., 3, n) by the inputs, covariance (..., 3, 3) from what is not an input, solvable
-# (...)
+# pose (..., 3), its Jacobian (..., 3, n) by inputs (..., n), covariance (..., 3, 3) from all else, solvable (...)
 Solve = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]]
 
 UNKNOWN = np.diag(np.full(3, np.inf))  # the covariance of a pose of which nothing is known
@@ -32,8 +30,7 @@ def honest_covariance(solve: Solve, inputs: FloatArray, covariance: FloatArray, 
     """Covariance (..., 3, 3) of the solution at inputs (..., n) with covariance (..., n, n), field axes.
 
     First-order where that is honest, else the second moment over the noise of the two weak inputs. Infinite variances
-    where
-    that noise reaches inputs without a solution: no finite covariance would be honest.
+    where that noise reaches inputs without a solution: no finite covariance would be honest.
     """
     _, jacobian, other, solvable = solve(inputs)
     first_order = propagate(jacobian, covariance) + other
@@ -54,11 +51,10 @@ def is_first_order_honest(first_order: FloatArray, spread: FloatArray) -> NDArra
 
 
 def spread_covariance(solve: Solve, inputs: FloatArray, covariance: FloatArray, weak: tuple[int, int]) -> FloatArray:
-    """Second moment (..., 3, 3) of the solution's (x_m, y_m, heading_rad) about its value at the inputs (..., n), field
-    axes.
+    """Second moment (..., 3, 3) of the solution's (x_m, y_m, heading_rad) about its value at inputs (..., n).
 
-    covariance: (..., n, n) of the inputs; weak: the two inputs whose noise is followed exactly; the noise of the others
-    is propagated to first order around each node. Infinite variances where a node has no solution.
+    Field axes. covariance: (..., n, n) of the inputs; weak: the two inputs whose noise is followed exactly; the noise
+    of the others is propagated to first order around each node. Infinite variances where a node has no solution.
     """
     covariance = np.broadcast_to(covariance, (*inputs.shape, inputs.shape[-1]))
     one, rest = list(weak), [i for i in range(inputs.shape[-1]) if i not in weak]

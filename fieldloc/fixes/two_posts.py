@@ -1,5 +1,4 @@
-"""Position and heading from the bearings of two posts and the ratio of their sizes (sec. 2.1): one image, no scale
-needed.
+"""Position and heading from the bearings of two posts and the ratio of their sizes (sec. 2.1): no scale needed.
 
 With complex numbers the paper's triangle is one line. Let omega = i alpha - rho with alpha = bearing 2 - bearing 1
 (signed) and rho = log(size 2 / size 1). The posts are seen at C e^{i b1} and B e^{i b2}, C / B = e^rho, and the map
@@ -22,14 +21,14 @@ Sizes may have any unit in which size is inversely proportional to distance: sin
 `fieldloc.fixes.cylinder`), the paper's f D / C. Posts of different diameters: divide each size by its diameter.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.covariance import propagate
-from fieldloc.fixes.base import Fix
 from fieldloc.fixes.inputs import exactly, posts_covariance_of, semidefinite, trailing
+from fieldloc.fixes.post_fix import PostFix
 from fieldloc.fixes.spread import UNKNOWN, honest_covariance
 from fieldloc.pose import FloatArray, wrap
 
@@ -59,8 +58,7 @@ class TwoPostPoses:
         """(..., 3, 3) of (x_m, y_m, heading_rad) in field axes, eqs. 7-12; infinite variances where not solvable.
 
         covariance: (..., 4, 4) of (bearing 1, bearing 2, size 1, size 2), correlations and all.
-        posts_covariance: (..., 2, 2, 2) of each post's surveyed position, field axes; None where they are exact
-        (Krotkov).
+        posts_covariance: (..., 2, 2, 2) of each post's surveyed position (Krotkov), field axes; None: exact.
         """
         noise, survey = semidefinite(covariance, 4), posts_covariance_of(posts_covariance, 2)
         total = propagate(self.jacobian, noise) + propagate(self.post_jacobian, survey)
@@ -68,10 +66,9 @@ class TwoPostPoses:
 
 
 def poses_from_two_posts(bearings_rad: FloatArray, sizes: FloatArray, posts: FloatArray) -> TwoPostPoses:
-    """The one pose from which labelled posts (..., 2, 2) appear at bearings (..., 2) with sizes (..., 2); all
-    broadcast.
+    """The one pose from which labelled posts (..., 2, 2) appear at bearings (..., 2) with sizes (..., 2).
 
-    Not solvable: coincident posts, sizes that are not positive, equal sizes under no angle, NaN.
+    All broadcast. Not solvable: coincident posts, sizes that are not positive, equal sizes under no angle, NaN.
     """
     bearings = trailing(bearings_rad, (2,), "bearings_rad")
     sizes = trailing(sizes, (2,), "sizes")
@@ -120,13 +117,12 @@ def covariance_of_two_posts(
     posts: FloatArray,
     posts_covariance: FloatArray | None = None,
 ) -> FloatArray:
-    """(..., 3, 3) of (x_m, y_m, heading_rad) in field axes, honest also for far posts; shapes as above, all broadcast.
+    """(..., 3, 3) of (x_m, y_m, heading_rad) in field axes, honest also for far posts; shapes as in `TwoPostPoses`.
 
     The first-order covariance as long as it is honest (`fieldloc.fixes.spread`); beyond, where the error runs along the
     bend of the circle, the second moment over the sizes' noise. Infinite variances where there is no pose or nothing
-    finite could be
-    honest: a size within about three standard deviations of zero, or the whole picture within three of that of a robot
-    infinitely far away.
+    finite could be honest: a size within about three standard deviations of zero, or the whole picture within three of
+    that of a robot infinitely far away.
     """
     bearings, sizes = trailing(bearings_rad, (2,), "bearings_rad"), trailing(sizes, (2,), "sizes")
     posts, noise = trailing(posts, (2, 2), "posts"), semidefinite(covariance, 4)
@@ -151,7 +147,7 @@ def fix_two_posts(
     covariance: FloatArray,
     posts: FloatArray,
     posts_covariance: FloatArray | None = None,
-) -> tuple[Fix, ...]:
+) -> tuple[PostFix, ...]:
     """The pose from two labelled posts (2, 2), with bearings (2,), sizes (2,), covariance (4, 4) of all four, jointly.
 
     posts_covariance: (2, 2, 2) of the posts' surveyed positions; None where they are exact. The covariance is that of
@@ -162,7 +158,9 @@ def fix_two_posts(
     found = covariance_of_two_posts(bearings, sizes, covariance, posts, posts_covariance)
     if not np.all(np.isfinite(found)):
         return ()
-    return (Fix(poses_from_two_posts(bearings, sizes, posts).pose, found, solver="two_posts.fix_two_posts"),)
+    at = poses_from_two_posts(bearings, sizes, posts)
+    first_order = at.first_order_covariance(covariance, posts_covariance)
+    return (PostFix(at.pose, found, solver="two_posts.fix_two_posts", first_order_covariance=first_order),)
 
 
 def fix_two_alike_posts(
@@ -171,12 +169,11 @@ def fix_two_alike_posts(
     covariance: FloatArray,
     positions: FloatArray,
     positions_covariance: FloatArray | None = None,
-) -> tuple[Fix, ...]:
-    """All poses when the two posts seen may be any two of the map's (n, 2), exchanged or not: n (n - 1) where all are
-    good.
+) -> tuple[PostFix, ...]:
+    """All poses when the two posts seen may be any two of the map's (n, 2), in either order: n (n - 1) of them.
 
-    The scale is unknown, so nothing in the picture prefers a pair: all weights are equal. positions_covariance: (n, 2,
-    2).
+    The scale is unknown, so nothing in the picture prefers a pair: all weights are equal.
+    positions_covariance: (n, 2, 2).
     """
     positions = trailing(positions, (2,), "positions")
     number = len(positions)
@@ -184,7 +181,7 @@ def fix_two_alike_posts(
     survey = exactly(survey, (number, 2, 2), "positions_covariance")
     pairs = [[i, j] for i in range(number) for j in range(number) if i != j]
     fixes = [
-        Fix(fix.pose, fix.covariance, solver="two_posts.fix_two_alike_posts")
+        replace(fix, solver="two_posts.fix_two_alike_posts")
         for pair in pairs
         for fix in fix_two_posts(bearings_rad, sizes, covariance, positions[pair], survey[pair])
     ]
