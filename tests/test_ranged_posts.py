@@ -128,6 +128,13 @@ def test_a_wrong_diameter_shows_in_chi2() -> None:
     assert min(fix.chi2 for fix in solve(seen, edge_noise(600.0, 0.3))) > chi_square.ppf(0.999, 1)
 
 
+def test_the_covariance_does_not_depend_on_where_the_robot_looks() -> None:
+    """Not even where its heading is about to jump from pi to -pi."""
+    noise = edge_noise(600.0, 0.5)
+    (ahead,), (astern,) = (solve(view(np.array([0.0, 1.0, heading])), noise) for heading in (0.0, np.pi))
+    np.testing.assert_allclose(astern.covariance, ahead.covariance, rtol=1e-6)
+
+
 def test_two_places_on_one_circle_can_explain_both_ranges() -> None:
     """Far to the side of a goal the sizes are nearly equal: which one is larger tells left from right, barely."""
     truth = np.array([1.5, 4.0, -0.8])

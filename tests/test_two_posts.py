@@ -232,6 +232,14 @@ def test_a_far_fix_is_not_overconfident(pose: list[float], sigma_px: float) -> N
     assert nees.mean() / 3 < 1.3
 
 
+def test_the_covariance_does_not_depend_on_where_the_robot_looks() -> None:
+    """Not even where its heading is about to jump from pi to -pi."""
+    noise = edge_noise(600.0, 0.5)
+    ahead, astern = (view(np.array([0.0, 1.0, heading])) for heading in (0.0, np.pi))
+    expected = covariance_of_two_posts(ahead[:2], ahead[2:], noise, GOAL)
+    np.testing.assert_allclose(covariance_of_two_posts(astern[:2], astern[2:], noise, GOAL), expected, rtol=1e-9)
+
+
 def test_a_picture_that_could_be_of_a_robot_infinitely_far_away_gives_no_fix() -> None:
     inputs = view(np.array([-40.0, 1.0, 0.0]))  # posts of a pixel and a half, 58 mrad apart
     assert fix_two_posts(inputs[:2], inputs[2:], edge_noise(600.0, 0.01), GOAL) != ()
