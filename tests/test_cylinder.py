@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from goal_views import GOAL, RADIUS_M
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,8 +19,6 @@ from fieldloc.fixes.cylinder import (
 from fieldloc.fixes.two_posts import fix_two_posts
 from fieldloc.pose import FloatArray, wrap
 
-GOAL = np.array([[4.5, 1.3], [4.5, -1.3]])
-RADIUS_M = 0.05
 FOCAL_PX = 600.0
 
 ranges = st.floats(0.06, 20.0)

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from goal_views import GOAL, RADIUS_M
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -18,8 +19,6 @@ CAMERA = Camera("pinhole", 640, 480, 500.0, 510.0, 320.0, 240.0)
 FISHEYE = Camera("fisheye", 640, 480, 280.0, 280.0, 320.0, 240.0, (0.02, -0.003, 0.0, 0.0))
 MOUNT_NOISE = np.diag([0.005, 0.01, 0.01, 0.01]) ** 2
 MOUNT = CameraMount(0.55, 0.2, 0.3, -0.05, MOUNT_NOISE, x_m=0.08, y_m=-0.03)
-GOAL = np.array([[4.5, 1.3], [4.5, -1.3]])
-RADIUS_M = 0.05
 EDGE_NOISE = np.eye(4) * 0.2**2
 FOOT_NOISE = np.eye(2) * 0.5**2
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from goal_views import GOAL, OWN_GOAL, edge_noise, pose_error
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
@@ -12,8 +13,6 @@ from fieldloc.fixes.sizes import HalfWidths, InverseRanges, PaperSizes, Ranges, 
 from fieldloc.fixes.two_posts import fix_two_posts
 from fieldloc.pose import FloatArray, wrap
 
-GOAL = np.array([[4.5, 1.3], [4.5, -1.3]])
-OWN_GOAL = np.array([[-4.5, 1.3], [-4.5, -1.3]])
 WIDTHS = HalfWidths(0.05)
 MODELS: list[SizeModel] = [
     WIDTHS,
@@ -30,16 +29,6 @@ def view(pose: FloatArray, model: SizeModel = WIDTHS, posts: FloatArray = GOAL) 
     to_posts = posts - pose[:2]
     bearings = wrap(np.arctan2(to_posts[:, 1], to_posts[:, 0]) - pose[2])
     return np.concatenate([bearings, model.of_range(np.hypot(to_posts[:, 0], to_posts[:, 1]))[0]])
-
-
-def edge_noise(focal_px: float, sigma_px: float) -> FloatArray:
-    return np.eye(4) * (sigma_px / focal_px) ** 2 / 2
-
-
-def pose_error(found: FloatArray, truth: FloatArray) -> FloatArray:
-    error = found - truth
-    error[2] = wrap(error[2])
-    return error
 
 
 def solve(seen: FloatArray, noise: FloatArray, model: SizeModel = WIDTHS, **more: FloatArray) -> tuple[PostFix, ...]:
