@@ -164,7 +164,7 @@ def test_a_far_fix_is_not_overconfident(pose: list[float], sigma_px: float) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize(("pose", "sigma_px"), FAR)
 def test_no_far_fix_is_overconfident(pose: list[float], sigma_px: float) -> None:
-    assert mean_nees(np.array(pose), edge_noise(600.0, sigma_px), 300) < 1.3
+    assert mean_nees(np.array(pose), edge_noise(600.0, sigma_px), 600) < 1.3  # the tails are heavy
 
 
 @pytest.mark.slow
