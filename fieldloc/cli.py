@@ -3,62 +3,69 @@
 import argparse
 import json
 import os
+import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from types import FrameType
+from typing import NoReturn
 
 import numpy as np
-from tqdm import tqdm
 
-from estimators.base import Estimate
 from estimators.config import Config
 from estimators.config_file import load_config, with_settings
 from fieldloc.errors import FieldlocError
-from fieldloc.field import load_field
-from fieldloc.measurements import Truth
+from fieldloc.field import FieldMap, load_field
 from fieldloc.pose import FloatArray
-from logs.trajectory import Trajectory
+from logs.progress import Progress, watch
+from logs.reader import LogFile
 
 _RUNS = Path("runs")
-_PATIENCE_S = 1.0  # work that is done by then shows no bar
 _ONLINE = ("ekf", "particles", "dead-reckoning")
 _COMPARED = "dead-reckoning,ekf,particles,smooth"
 
-Progress = Callable[[int, int], None]
+Command = Callable[[argparse.Namespace], None]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; 0 when it worked, 1 with one line on stderr when it did not, 130 after Ctrl-C."""
-    options = _parser().parse_args(arguments)
+    """Run one command: 0 when it worked, 1 with one line on stderr when not, 130 after Ctrl-C and 143 after SIGTERM."""
+    if arguments is None and not sys.warnoptions:
+        warnings.simplefilter("ignore")  # what a person should know, our own say
     try:
-        options.command(options)
+        with _sigterm_as_ctrl_c():
+            options = _parser().parse_args(_with_minus(sys.argv[1:] if arguments is None else arguments))
+            options.command(options)
+            print(end="", flush=True)
     except FieldlocError as error:
-        print(f"fieldloc: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("fieldloc: interrupted; nothing unfinished was left behind", file=sys.stderr)
-        return 130
-    except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        return _fail(str(error))
+    except KeyboardInterrupt as interrupt:
+        _fail("interrupted; nothing unfinished was left behind")
+        return 128 + int(interrupt.args[0] if interrupt.args else signal.SIGINT)
+    except OSError as error:
+        with suppress(OSError, ValueError):  # what is left to be written would fail once more when Python exits
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):  # the reader has seen enough
+            return 1
+        return _fail(f"{error.filename or 'output'}: {error.strerror or error}")
     return 0
 
 
 def _import(options: argparse.Namespace) -> None:
     from logs.importers import import_utias, import_woods
+    from logs.output import output_file
 
+    if options.source == "woods":
+        out, load = Path(f"{options.path.stem}.mcap"), partial(import_woods, options.path)
+    else:
+        out, load = Path(f"utias-robot{options.robot}.mcap"), partial(import_utias, options.path, options.robot)
+    out = output_file(options.output or out, options.path)
     with _bar(options, "importing") as progress:
-        if options.source == "woods":
-            out = options.output or Path(f"{options.file.stem}.mcap")
-            done = import_woods(options.file, out, options.anonymous, options.max_range_m, progress=progress)
-        else:
-            out = options.output or Path(f"utias-robot{options.robot}.mcap")
-            done = import_utias(
-                options.directory, options.robot, out, options.anonymous, options.max_range_m, progress=progress
-            )
+        done = load(out, options.anonymous, options.max_range_m, progress=progress)
     _warn(done.warnings)
     _say(options, f"{done.path}: " + ", ".join(f"{n} {topic}" for topic, n in sorted(done.counts.items())))
 
@@ -67,130 +74,110 @@ def _info(options: argparse.Namespace) -> None:
     from logs.info import summarize
     from logs.info_text import format_summary
 
-    summary = summarize(options.log)
+    with _bar(options, "reading"):
+        summary = summarize(options.log)
     print(format_summary(summary))
     _warn(summary.warnings)
 
 
-def _run(options: argparse.Namespace) -> None:
-    _localize(options, options.estimator)
-
-
-def _smooth(options: argparse.Namespace) -> None:
-    _localize(options, "smooth")
-
-
-def _localize(options: argparse.Namespace, name: str) -> None:
+def _localize(options: argparse.Namespace) -> None:
     from estimators.registry import ALL
-    from logs.reader import LogFile
+    from logs.estimates import write_estimates
+    from logs.output import output_file
     from logs.replay import load_recording, replay
-    from logs.writer import LogWriter
 
-    out = options.output or _RUNS / f"{options.log.stem}-{name}.mcap"
-    if out.exists() and options.log.exists() and out.samefile(options.log):
-        raise FieldlocError(f"-o {out}: is the log itself; give another file")
-    config = _config(options)
+    name = options.estimator
+    config, field = _settings(options)
     log = LogFile(options.log)
-    recording = load_recording(log, load_field(options.field) if options.field else None)
-    with _bar(options, name) as progress:
+    out = output_file(options.output or _RUNS / f"{options.log.stem}-{name}.mcap", options.log)
+    with _warning(log), _bar(options, name) as progress:
+        recording = load_recording(log, field, progress)
         done = replay(recording, ALL[name](config), options.start, progress)
-    metadata = {"estimator": name, "log": options.log.name, "config": json.dumps(asdict(config))}
-    with LogWriter(out, metadata) as writer:
-        writer.write(log.roles["field"], recording.field, recording.measurements[0].stamp_ns)
-        for estimate in done.estimates:
-            writer.write(log.roles["estimate"], estimate)
-    _warn((*log.warnings, *done.warnings))
+        metadata = {"estimator": name, "log": options.log.name, "config": json.dumps(asdict(config))}
+        write_estimates(out, recording, done, metadata, progress)
+    _warn((*recording.warnings, *done.warnings))
     _say(options, f"{out}: {len(done.estimates)} estimates of {name} in {done.total_s:.1f} s")
 
 
 def _compare(options: argparse.Namespace) -> None:
     from estimators.registry import ALL
-    from logs.reader import LogFile
-    from logs.replay import load_recording, replay
+    from logs.comparison import compare
+    from logs.output import output_folder
     from logs.report import write_report
-    from logs.results import LogResult, RunResult, score
     from logs.samples import sample_path
     from logs.table_text import format_table
-    from logs.trajectory import from_estimates, from_truth
 
-    names = list(dict.fromkeys(options.estimators.split(",")))
+    names = options.estimators.split(",")
     if unknown := [name for name in names if name not in ALL]:
-        raise FieldlocError(f"--estimators {options.estimators}: no estimator {unknown[0]}; known: {', '.join(ALL)}")
-    config = _config(options)
-    if not options.logs:
-        _say(
-            options, "no log given: comparing on the sample log that ships with fieldloc (a real robot among 17 tubes)"
+        raise FieldlocError(
+            f"--estimators {options.estimators}: no estimator '{unknown[0]}'; there is {', '.join(ALL)}"
         )
-    scored = []
-    for path in options.logs or [sample_path("woods")]:
-        log = LogFile(path)
-        recording = load_recording(log, load_field(options.field) if options.field else None)
-        truth = from_truth(log.records(Truth))
-        runs = []
-        warnings: dict[str, None] = {}
-        for name in names:
-            with _bar(options, f"{recording.name} {name}") as progress:
-                done = replay(recording, ALL[name](config), options.start, progress)
-            runs.append(RunResult(name, from_estimates(done.estimates), done.update_s, done.total_s))
-            warnings |= dict.fromkeys(done.warnings)
-        _warn((*log.warnings, *warnings))
-        scored.append(score(LogResult(recording.name, recording.duration_s, recording.field, truth, tuple(runs))))
+    config, field = _settings(options)
+    out = output_folder(options.output or _RUNS / "compare")
+    if not options.logs:
+        _say(options, "no log given: the sample that ships with fieldloc, a real robot among 17 tubes")
+    done = []
+    for log in [LogFile(path) for path in options.logs or [sample_path("woods")]]:
+        with _warning(log), _bar(options, log.path.stem) as progress:
+            done.append(compare(log, {n: partial(ALL[n], config) for n in names}, field, options.start, progress))
+        _warn((*done[-1].warnings, *done[-1].failures))
+    if all(len(one.failures) == len(one.scored.runs) for one in done):
+        raise FieldlocError("nothing to compare: no estimator has an estimate")
+    scored = [one.scored for one in done]
     with _bar(options, "pictures") as progress:
-        page = write_report(options.output, scored, progress)
+        page = write_report(out, scored, progress)
     print(format_table(scored))
     print(f"report: {page}")
 
 
 def _evaluate(options: argparse.Namespace) -> None:
+    from logs.estimates import read_estimates, read_truth
     from logs.evaluate import evaluate
-    from logs.reader import LogFile
     from logs.table_text import format_metrics
-    from logs.trajectory import from_truth
 
-    truth_log = LogFile(options.truth)
-    truth = from_truth(truth_log.records(Truth))
-    if not len(truth):
-        raise FieldlocError(f"--truth {options.truth}: no usable message on {truth_log.roles['truth']}")
-    metrics = evaluate(_estimates(options.estimates), truth, options.max_difference_s)
+    log, truth_log = LogFile(options.estimates), LogFile(options.truth)
+    with _warning(log, truth_log), _bar(options, "reading"):
+        metrics = evaluate(read_estimates(log), read_truth(truth_log), options.max_difference_s)
     print(json.dumps(metrics.to_dict(), indent=1) if options.json else format_metrics(metrics))
 
 
 def _export(options: argparse.Namespace) -> None:
+    from logs.estimates import read_estimates, read_truth
     from logs.export import write_csv, write_tum
-    from logs.reader import LogFile
-    from logs.trajectory import from_truth
+    from logs.output import output_file
 
-    out = options.output or options.log.with_suffix(f".{options.format}")
-    if options.truth:
-        log = LogFile(options.log)
-        trajectory = from_truth(log.records(Truth))
-        if not len(trajectory):
-            raise FieldlocError(f"{options.log}: no usable message on {log.roles['truth']}")
-    else:
-        trajectory = _estimates(options.log)
-    {"tum": write_tum, "csv": write_csv}[options.format](out, trajectory)
+    log = LogFile(options.log)
+    out = output_file(options.output or options.log.with_suffix(f".{options.format}"), options.log)
+    with _warning(log), _bar(options, "exporting"):
+        trajectory = read_truth(log) if options.truth else read_estimates(log)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        {"tum": write_tum, "csv": write_csv}[options.format](out, trajectory)
     _say(options, f"{out}: {len(trajectory)} poses")
 
 
-def _estimates(path: Path) -> Trajectory:
-    from logs.reader import LogFile
-    from logs.trajectory import from_estimates
-
-    log = LogFile(path)
-    trajectory = from_estimates(log.records(Estimate))
-    _warn(log.warnings)
-    if not len(trajectory):
-        raise FieldlocError(f"{path}: no usable message on {log.roles['estimate']}; give what run or smooth wrote")
-    return trajectory
+def _settings(options: argparse.Namespace) -> tuple[Config, FieldMap | None]:
+    config = with_settings(load_config(options.config) if options.config else Config(), options.set)
+    return config, load_field(options.field) if options.field else None
 
 
-def _config(options: argparse.Namespace) -> Config:
-    return with_settings(load_config(options.config) if options.config else Config(), options.set)
+@contextmanager
+def _warning(*logs: LogFile) -> Iterator[None]:
+    """What is wrong with the logs is said in the end, all the more when it ends badly."""
+    try:
+        yield
+    finally:
+        for log in logs:
+            _warn(log.warnings)
 
 
-def _warn(warnings: Sequence[str]) -> None:
-    for warning in warnings:
+def _warn(sentences: Sequence[str]) -> None:
+    for warning in sentences:
         print(f"fieldloc: warning: {warning}", file=sys.stderr)
+
+
+def _fail(text: str) -> int:
+    print(f"fieldloc: {' '.join(text.splitlines())}", file=sys.stderr)
+    return 1
 
 
 def _say(options: argparse.Namespace, text: str) -> None:
@@ -199,114 +186,139 @@ def _say(options: argparse.Namespace, text: str) -> None:
 
 
 @contextmanager
-def _bar(options: argparse.Namespace, what: str) -> Iterator[Progress]:
-    """A progress bar on stderr for work that takes a while."""
-    with tqdm(desc=what, delay=_PATIENCE_S, disable=options.quiet or None, leave=False) as bar:
+def _sigterm_as_ctrl_c() -> Iterator[None]:
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt(number)
 
-        def progress(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
-        yield progress
+
+def _bar(options: argparse.Namespace, what: str) -> AbstractContextManager[Progress]:
+    return watch(what, None if options.quiet else sys.stderr)
 
 
 def _start_pose(text: str) -> FloatArray:
-    try:
+    with suppress(ValueError):
         x_m, y_m, heading_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not X,Y,HEADING_DEG, for example -2.5,0,90") from None
-    pose = np.array([x_m, y_m, np.radians(heading_deg)])
-    if not np.isfinite(pose).all():
-        raise argparse.ArgumentTypeError(f"'{text}' holds a value that is not finite")
-    return pose
+        pose = np.array([x_m, y_m, np.radians(heading_deg)])
+        if np.isfinite(pose).all():
+            return pose
+    raise argparse.ArgumentTypeError(f"'{text}' is not X,Y,HEADING_DEG in numbers, for example -2.5,0,90")
 
 
-def _metres(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < np.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value
+def _positive(text: str) -> float:
+    with suppress(ValueError):
+        if 0.0 < (value := float(text)) < np.inf:
+            return value
+    raise argparse.ArgumentTypeError(f"'{text}' is not a number above 0")
+
+
+def _with_minus(arguments: Sequence[str]) -> list[str]:
+    """`--start -2,0,90` as `--start=-2,0,90`: argparse takes what begins with a minus for an option."""
+    out: list[str] = []
+    for argument in arguments:
+        if out and out[-1] == "--start":
+            out[-1] += f"={argument}"
+        else:
+            out.append(argument)
+    return out
+
+
+class _Parser(argparse.ArgumentParser):
+    """A wrong command line is told as every other mistake."""
+
+    def error(self, message: str) -> NoReturn:
+        raise FieldlocError(f"{message}; see {self.prog} --help")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="fieldloc",
         description="Where a soccer robot stands: from its log to trajectories with covariances, compared and drawn.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.set_defaults(quiet=False)  # here, not below: the default of a source would hide what came before it
     parser.add_argument("--version", action="version", version=version("fieldloc"))
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    examples: dict[str, None] = {}
 
-    def command(
-        name: str, run: Callable[[argparse.Namespace], None], what: str, example: str
-    ) -> argparse.ArgumentParser:
-        sub = commands.add_parser(
-            name,
-            help=f"{what}; {example}",
-            description=f"{what[0].upper()}{what[1:]}.",
-            epilog=f"example: {example}",
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+    def add(among: "argparse._SubParsersAction[_Parser]", name: str, run: Command, what: str, example: str) -> _Parser:
+        examples[example] = None
+        sub = among.add_parser(
+            name, help=what, description=f"{what[0].upper()}{what[1:]}.", epilog=f"example: {example}"
         )
         sub.set_defaults(command=run)
-        sub.add_argument("--quiet", action="store_true", help="no progress, no summary; warnings and errors only")
+        sub.add_argument(
+            "--quiet",
+            action="store_true",
+            default=argparse.SUPPRESS,
+            help="no progress, no summary; warnings and errors only",
+        )
         return sub
 
-    sub = command("import", _import, "a data set to a log", "fieldloc import woods dataset2.mat -o woods.mcap")
+    woods = "fieldloc import woods dataset2.mat -o woods.mcap"
+    sub = add(commands, "import", _import, "a data set to a log", woods)
     sources = sub.add_subparsers(dest="source", metavar="SOURCE", required=True)
-    woods = sources.add_parser("woods", help="the 'lost in the woods' MATLAB file")
-    woods.add_argument("file", type=Path, metavar="FILE.mat")
-    utias = sources.add_parser("utias", help="a robot of a UTIAS MRCLAM data set: its folder, .tar.gz or .zip")
-    utias.add_argument("directory", type=Path, metavar="DIR")
-    utias.add_argument("--robot", type=int, required=True, metavar="K", help="1 to 5")
-    for source in (woods, utias):
-        source.add_argument("-o", "--output", type=Path, metavar="OUT.mcap")
-        source.add_argument("--anonymous", action="store_true", help="drop the landmarks' identities")
-        source.add_argument("--max-range-m", type=_metres, metavar="R", help="drop landmarks seen from farther away")
-        source.add_argument("--quiet", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+    sub = add(sources, "woods", _import, "the 'lost in the woods' MATLAB file to a log", woods)
+    sub.add_argument("path", type=Path, metavar="FILE.mat")
+    _add_import_options(sub, "FILE.mcap")
+    utias = "fieldloc import utias MRCLAM_Dataset6.tar.gz --robot 3"
+    sub = add(sources, "utias", _import, "one robot of a UTIAS MRCLAM data set to a log", utias)
+    sub.add_argument("path", type=Path, metavar="DIR", help="the data set's folder, or its .tar.gz or .zip")
+    sub.add_argument("--robot", type=int, required=True, metavar="K", help="1 to 5")
+    _add_import_options(sub, "utias-robotK.mcap")
 
-    sub = command("info", _info, "what is in a log", "fieldloc info woods.mcap")
+    sub = add(commands, "info", _info, "what is in a log", "fieldloc info woods.mcap")
     sub.add_argument("log", type=Path, metavar="LOG")
 
-    sub = command("run", _run, "a log through an online estimator", "fieldloc run woods.mcap --estimator ekf")
-    _add_log_options(sub)
-    sub.add_argument("--estimator", choices=_ONLINE, default=_ONLINE[0])
+    run = "fieldloc run woods.mcap --estimator ekf"
+    sub = add(commands, "run", _localize, "a log through an online estimator", run)
+    sub.add_argument("log", type=Path, metavar="LOG")
+    _add_estimation_options(sub, "OUT.mcap", "runs/LOG-ESTIMATOR.mcap")
+    sub.add_argument("--estimator", choices=_ONLINE, default=_ONLINE[0], help="default: %(default)s")
 
-    sub = command("smooth", _smooth, "the best trajectory, in hindsight", "fieldloc smooth woods.mcap -o best.mcap")
-    _add_log_options(sub)
+    smooth = "fieldloc smooth woods.mcap -o best.mcap"
+    sub = add(commands, "smooth", _localize, "the best trajectory, in hindsight", smooth)
+    sub.add_argument("log", type=Path, metavar="LOG")
+    _add_estimation_options(sub, "OUT.mcap", "runs/LOG-smooth.mcap")
+    sub.set_defaults(estimator="smooth")
 
-    sub = command("compare", _compare, "estimators on the same logs: table, pictures, report", "fieldloc compare")
+    compare = "fieldloc compare woods.mcap --estimators ekf,smooth"
+    sub = add(commands, "compare", _compare, "estimators on the same logs: table, pictures, report", compare)
     sub.add_argument("logs", type=Path, nargs="*", metavar="LOG", help="the sample log if none is given")
-    sub.add_argument("--estimators", default=_COMPARED, metavar="A,B,...", help=f"default: {_COMPARED}")
-    sub.add_argument("-o", "--output", type=Path, default=_RUNS / "compare", metavar="DIR", help="default: %(default)s")
-    _add_estimation_options(sub)
+    sub.add_argument("--estimators", default=_COMPARED, metavar="A,B,...", help="default: %(default)s")
+    _add_estimation_options(sub, "DIR", "runs/compare")
 
-    sub = command("evaluate", _evaluate, "estimates against truth", "fieldloc evaluate best.mcap --truth woods.mcap")
+    evaluate = "fieldloc evaluate best.mcap --truth woods.mcap"
+    sub = add(commands, "evaluate", _evaluate, "estimates against truth", evaluate)
     sub.add_argument("estimates", type=Path, metavar="OUT.mcap")
     sub.add_argument("--truth", type=Path, required=True, metavar="LOG", help="the log with the truth")
     sub.add_argument("--json", action="store_true", help="all numbers, see docs/metrics.md")
-    sub.add_argument(
-        "--max-difference-s",
-        type=_metres,
-        default=0.01,
-        metavar="S",
-        help="pair stamps this close; default: %(default)s",
-    )
+    apart = "pair stamps this close; default: %(default)s"
+    sub.add_argument("--max-difference-s", type=_positive, default=0.01, metavar="S", help=apart)
 
-    sub = command("export", _export, "estimates as text", "fieldloc export best.mcap --format tum")
+    sub = add(commands, "export", _export, "estimates as text", "fieldloc export best.mcap --format tum")
     sub.add_argument("log", type=Path, metavar="OUT.mcap")
     sub.add_argument("--format", choices=("tum", "csv"), required=True)
     sub.add_argument("--truth", action="store_true", help="the log's truth instead of its estimates")
     sub.add_argument("-o", "--output", type=Path, metavar="FILE", help="default: OUT.tum or OUT.csv")
+
+    parser.epilog = "\n  ".join(["examples:", *examples])
     return parser
 
 
-def _add_log_options(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("log", type=Path, metavar="LOG")
-    sub.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="default: runs/LOG-ESTIMATOR.mcap")
-    _add_estimation_options(sub)
+def _add_import_options(sub: argparse.ArgumentParser, default: str) -> None:
+    sub.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help=f"default: {default}")
+    sub.add_argument("--anonymous", action="store_true", help="drop the landmarks' identities")
+    sub.add_argument("--max-range-m", type=_positive, metavar="R", help="drop landmarks seen from farther away")
 
 
-def _add_estimation_options(sub: argparse.ArgumentParser) -> None:
+def _add_estimation_options(sub: argparse.ArgumentParser, output: str, default: str) -> None:
+    sub.add_argument("-o", "--output", type=Path, metavar=output, help=f"default: {default}")
     sub.add_argument("--field", metavar="NAME|FILE", help="a map by name or TOML file instead of the log's own")
     sub.add_argument(
         "--start",

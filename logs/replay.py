@@ -1,7 +1,6 @@
 """A log through an estimator: the loop that the robot runs, with a file as the source."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,26 +12,37 @@ from fieldloc.association import Belief
 from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.factor_builder import FactorBuilder
+from fieldloc.factors import Factor
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Measurement, Odometry
 from fieldloc.pose import FloatArray
+from logs.progress import Progress, unwatched
 from logs.reader import LogFile
+from logs.schema import seconds
 
-Progress = Callable[[int, int], None]
-"""Told now and then how many of how many measurements are done."""
+_KINDS: tuple[type[Measurement], ...] = (Odometry, InitialPose, Compass, LandmarkScan, ImageFeatures)
+"""What goes first at equal stamps: how the robot moves from there on, what it is told, what it sees."""
 
+_START_COVARIANCE = np.diag([0.1, 0.1, np.radians(5.0)]) ** 2
 _PROGRESS_EVERY = 500
-_KINDS = (Odometry, LandmarkScan, ImageFeatures, Compass, InitialPose)
+_LATE_NS = 1_000_000_000  # an image's way through a robot is shorter; a longer one is a clock that was set
+_FAILURES = (ValueError, ArithmeticError, RuntimeError)  # of numpy, scipy and gtsam at numbers beyond all reason
+
+Observation = InitialPose | Compass | LandmarkScan | ImageFeatures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What an estimator may see of a log: everything but the truth, in the order of the measurements' own stamps."""
+    """What an estimator may see of a log: everything but the truth, in the order of the measurements' own stamps.
+
+    warnings: what of the log makes localizing harder than it looks.
+    """
 
     name: str
     field: FieldMap
     camera: Camera | None
     measurements: tuple[Measurement, ...]
+    warnings: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -49,57 +59,116 @@ class Replay:
     warnings: tuple[str, ...]
 
 
-def load_recording(log: LogFile, field: FieldMap | None = None) -> Recording:
+def load_recording(log: LogFile, field: FieldMap | None = None, progress: Progress = unwatched) -> Recording:
     """`field` stands in for the log's own map. FieldlocError where there is no map or nothing to localize with."""
     field = log.field_map() if field is None else field
     if field is None:
         raise FieldlocError(f"{log.path}: holds no map; name one with --field, for example --field kidsize")
+    total = sum(count for source, count in log.sources)
     measurements: list[Measurement] = []
+    late: list[int] = []
     for kind in _KINDS:
-        measurements += log.records(kind)
+        newest_ns = 0
+        for measurement in log.records(kind):
+            measurements.append(measurement)
+            newest_ns = max(newest_ns, measurement.stamp_ns)
+            late.append(newest_ns - measurement.stamp_ns)
+            if len(measurements) % _PROGRESS_EVERY == 0:
+                progress(len(measurements), total, "reading")
     if not any(not isinstance(measurement, Odometry) for measurement in measurements):
         topics = ", ".join(log.roles[role] for role in ("landmarks", "image_features", "compass", "initial_pose"))
         raise FieldlocError(f"{log.path}: nothing to localize with: no usable message on {topics}")
     measurements.sort(key=lambda measurement: measurement.stamp_ns)
-    camera = next(log.records(Camera), None)
-    return Recording(log.path.stem, field, camera, tuple(measurements))
+    cameras = list(log.records(Camera))
+    warnings = []
+    if not any(isinstance(measurement, Odometry) for measurement in measurements):
+        warnings.append(f"no usable message on {log.roles['odometry']}: between what is seen the robot may go anywhere")
+    if behind := [ns for ns in late if ns > _LATE_NS]:
+        warnings.append(
+            f"{len(behind)} measurements were logged after others of their topic that are stamped up to "
+            f"{seconds(max(behind))} later: all are taken in the order of their stamps"
+        )
+    if any(camera != cameras[0] for camera in cameras):
+        warnings.append(f"{log.roles['camera']} changes on the way: the first one is taken for all images")
+    return Recording(
+        log.path.stem,
+        field,
+        cameras[0] if cameras else None,
+        tuple(measurements),
+        tuple(f"{log.path}: {warning}" for warning in warnings),
+    )
 
 
 def replay(
-    recording: Recording, estimator: Estimator, start_pose: FloatArray | None = None, progress: Progress | None = None
+    recording: Recording,
+    estimator: Estimator,
+    start_pose: FloatArray | None = None,
+    progress: Progress = unwatched,
 ) -> Replay:
     """Feed the recording to the estimator. start_pose: (3,) at the first measurement, known to about 0.1 m and 5 deg.
 
-    FieldlocError if the estimator never got to an estimate.
+    FieldlocError if the estimator never got to an estimate, or failed on the way.
     """
     began = time.perf_counter()
     builder = FactorBuilder(recording.field, recording.camera)
-    if start_pose is not None:
-        estimator.start(Estimate(recording.measurements[0].stamp_ns, start_pose, _START_COVARIANCE))
+    at_ns: int | None = recording.measurements[0].stamp_ns
     estimates: list[Estimate] = []
     update_s: list[float] = []
-    for done, measurement in enumerate(recording.measurements):
-        if isinstance(measurement, Odometry):
-            estimator.predict(measurement)
-        else:
-            before = time.perf_counter()
-            estimator.advance(measurement.stamp_ns)
-            for factor in builder.build(measurement, _belief(estimator)):
-                estimator.update(factor)
-            update_s.append(time.perf_counter() - before)
-        if (now := estimator.estimate()) is not None:
-            if estimates and estimates[-1].stamp_ns == now.stamp_ns:
-                estimates.pop()
-            estimates.append(now)
-        if progress is not None and done % _PROGRESS_EVERY == 0:
-            progress(done, len(recording.measurements))
+    unusable: list[str] = []
+    try:
+        if start_pose is not None:
+            estimator.start(Estimate(recording.measurements[0].stamp_ns, start_pose, _START_COVARIANCE))
+        for done, measurement in enumerate(recording.measurements):
+            at_ns = measurement.stamp_ns
+            if isinstance(measurement, Odometry):
+                estimator.predict(measurement)
+            else:
+                before = time.perf_counter()
+                estimator.advance(measurement.stamp_ns)
+                for factor in _factors(builder, measurement, estimator, unusable):
+                    estimator.update(factor)
+                update_s.append(time.perf_counter() - before)
+            if (now := estimator.estimate()) is not None:
+                _check(now)
+                if estimates and estimates[-1].stamp_ns == now.stamp_ns:
+                    estimates.pop()
+                estimates.append(now)
+            if done % _PROGRESS_EVERY == 0:
+                progress(done, len(recording.measurements))
+        if estimates and isinstance(estimator, Smoother):
+            at_ns = None
+            progress(0, 0, "solving")
+            estimates = list(estimator.trajectory())
+            for now in estimates:
+                _check(now)
+    except _FAILURES as error:
+        when = "solving" if at_ns is None else f"at {seconds(at_ns)}"
+        raise FieldlocError(
+            f"{recording.name}: {type(estimator).__name__} failed {when}: {_first_line(error)}"
+        ) from error
     if not estimates:
         raise FieldlocError(f"{recording.name}: {_never_started(recording)}")
-    smoothed = estimator.trajectory() if isinstance(estimator, Smoother) else tuple(estimates)
-    return Replay(smoothed, np.array(update_s), time.perf_counter() - began, builder.warnings())
+    warnings = [*builder.warnings()]
+    if unusable:
+        warnings.append(f"{len(unusable)} measurements left out, the first: {unusable[0]}")
+    named = tuple(f"{recording.name}: {warning}" for warning in warnings)
+    return Replay(tuple(estimates), np.array(update_s), time.perf_counter() - began, named)
 
 
-_START_COVARIANCE = np.diag([0.1, 0.1, np.radians(5.0)]) ** 2
+def _factors(
+    builder: FactorBuilder, measurement: Observation, estimator: Estimator, unusable: list[str]
+) -> tuple[Factor, ...]:
+    """None from a measurement whose numbers are beyond all arithmetic: it is noted as unusable."""
+    try:
+        return builder.build(measurement, _belief(estimator))
+    except _FAILURES as error:
+        kind = type(measurement).__name__
+        unusable.append(f"{kind} at {seconds(measurement.stamp_ns)} cannot be computed with: {_first_line(error)}")
+        return ()
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)
 
 
 def _belief(estimator: Estimator) -> Belief | None:
@@ -107,7 +176,13 @@ def _belief(estimator: Estimator) -> Belief | None:
     return None if now is None else Belief(now.pose, se2.rotate_covariance(now.covariance, -now.pose[2]))
 
 
+def _check(estimate: Estimate) -> None:
+    if not np.isfinite(estimate.pose).all():
+        raise ValueError("its pose is not finite")
+
+
 def _never_started(recording: Recording) -> str:
+    told = "give it with --start X,Y,HEADING_DEG"
     if len(recording.field.symmetries):
-        return "the field looks the same from several poses, so nothing seen tells the start; give it with --start"
-    return "nothing seen determines a whole pose, so there is no start; give it with --start"
+        return f"the field looks the same from several poses, so nothing seen tells the start; {told}"
+    return f"nothing seen determines a whole pose, so there is no start; {told}"
