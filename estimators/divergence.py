@@ -18,6 +18,10 @@ class Restart:
         self._elsewhere: PoseFactor | None = None
         self._count = 0
 
+    def forget(self) -> None:
+        """Begin anew, as after a start."""
+        self._elsewhere, self._count = None, 0
+
     def advance(self, motion: Increment) -> None:
         """Carry the pose that disagreed along with the robot."""
         if (other := self._elsewhere) is not None:
@@ -32,14 +36,14 @@ class Restart:
         if not isinstance(factor, PoseFactor):
             return None
         if not disagrees:
-            self._elsewhere, self._count = None, 0
+            self.forget()
             return None
         alike = self._elsewhere is not None and _agree(self._elsewhere, factor)
         self._count = self._count + 1 if alike else 1
         self._elsewhere = factor
         if self._count < self._after:
             return None
-        self._elsewhere, self._count = None, 0
+        self.forget()
         return factor
 
 

@@ -80,3 +80,4 @@ class Ekf:
         self._pose = pose
         self._filter.x = np.zeros(3)
         self._filter.P = robot_covariance.copy()
+        self._restart.forget()

@@ -2,9 +2,11 @@
 
 import numpy as np
 from filterpy.monte_carlo import systematic_resample
+from numpy.typing import NDArray
 
 from estimators.base import Estimate, Innovation
 from estimators.config import Config
+from estimators.divergence import Restart
 from estimators.motion import STANDSTILL, HeldVelocity, Increment
 from fieldloc import pose as se2
 from fieldloc.covariance import squared_mahalanobis
@@ -14,6 +16,7 @@ from fieldloc.pose import FloatArray
 
 _LOG_RATIO_FLOOR = -60.0  # exp of it is nothing beside the outlier share
 
+_MIN_ALIVE = 0.1  # expected share of particles that a factor, or a part of it, leaves with weight
 _JITTER = 0.3  # of the cloud's own spread, at each resampling
 
 
@@ -26,6 +29,7 @@ class ParticleFilter:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._motion = HeldVelocity(config.motion)
+        self._restart = Restart(config.robust.restart_after)
         self._random = np.random.default_rng(config.particles.seed)
         self._pending: Increment = STANDSTILL
         self._poses = np.zeros((0, 3))
@@ -45,6 +49,7 @@ class ParticleFilter:
         motion = self._motion.advance(stamp_ns)
         if motion is not None and len(self._poses):
             self._pending = self._pending.then(motion)
+            self._restart.advance(motion)
 
     def update(self, factor: Factor) -> Innovation | None:
         self.advance(factor.stamp_ns)
@@ -56,14 +61,11 @@ class ParticleFilter:
         residual = factor.error(self._mean)
         _, expected = innovation_covariance(factor, self._mean, self._covariance)
         nis = float(squared_mahalanobis(residual, expected))
-        likelihood, inlier = self._likelihood(factor, expected)
-        self._weights *= likelihood
-        self._weights /= self._weights.sum()
-        share = float(self._weights @ inlier)
-        if 1.0 / (self._weights @ self._weights) < 0.5 * len(self._weights):
-            self._resample()
-        self._summarise()
-        return Innovation(factor.stamp_ns, residual, expected, nis, share)
+        disagrees = nis > self._config.robust.nis_per_dof * len(residual)
+        if (elsewhere := self._restart.consider(factor, disagrees)) is not None:
+            self._scatter(elsewhere.pose, elsewhere.covariance)
+            return Innovation(factor.stamp_ns, residual, expected, nis, 0.0)
+        return Innovation(factor.stamp_ns, residual, expected, nis, self._weigh(factor))
 
     def estimate(self) -> Estimate | None:
         """Weighted mean and covariance of the cloud."""
@@ -78,14 +80,38 @@ class ParticleFilter:
         self._poses = se2.retract(pose, self._draw(robot_covariance, count))
         self._weights = np.full(count, 1.0 / count)
         self._pending = STANDSTILL
+        self._restart.forget()
         self._summarise()
+
+    def _weigh(self, factor: Factor) -> float:
+        """Weigh the particles by the factor, and return how far it was taken for an inlier.
+
+        A factor so sharp that it would leave hardly a particle alive comes in parts, each of a wider covariance, and
+        the cloud closes in on it (progressive correction, Oudjane & Musso 2000).
+        """
+        left, share = 1.0, 1.0
+        while left > 0.0 and share > 0.5:
+            _, expected = innovation_covariance(factor, self._mean, self._covariance)
+            part = _bearable(expected - factor.covariance, factor.covariance, left)
+            widened = factor.covariance / part
+            likelihood, inlier = self._likelihood(
+                factor.error(self._poses), widened, expected - factor.covariance + widened
+            )
+            self._weights *= likelihood
+            self._weights /= self._weights.sum()
+            share = min(share, float(self._weights @ inlier))
+            left -= part
+            if 1.0 / (self._weights @ self._weights) < 0.5 * len(self._weights):
+                self._resample()
+            self._summarise()
+        return share
 
     def _resample(self) -> None:
         """Copies are pulled to the mean and scattered by as much: a robot that stands still would be left with one
         particle else. Mean and covariance stay as they were (Liu & West 2001, sec. 10.3.2)."""
         self._summarise()
         count = len(self._poses)
-        around = se2.local(self._mean, self._poses[systematic_resample(self._weights)])
+        around = se2.local(self._mean, self._poses[_drawn(self._weights, self._random)])
         around = np.sqrt(1.0 - _JITTER**2) * around + _JITTER * self._draw(self._covariance, count)
         self._poses = se2.retract(self._mean, around)
         self._weights = np.full(count, 1.0 / count)
@@ -101,17 +127,18 @@ class ParticleFilter:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         return np.asarray(self._random.standard_normal((count, 3)) @ root.T)
 
-    def _likelihood(self, factor: Factor, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the factor at each particle, and the share of it that is not the outliers'.
+    def _likelihood(
+        self, error: FloatArray, covariance: FloatArray, expected: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Of the errors (n, m) of the particles, and the share of it that is not the outliers'.
 
         An outlier's density is that of the innovation at the edge of what the cloud expects: it depends on no units and
         lets no single wrong factor sweep away a cloud that all others agree with.
         """
         share = self._config.particles.outlier_share
-        error = factor.error(self._poses)
-        log_ratio = -0.5 * np.einsum("ni,ij,nj->n", error, np.linalg.inv(factor.covariance), error)
+        log_ratio = -0.5 * np.einsum("ni,ij,nj->n", error, np.linalg.inv(covariance), error)
         edge = self._config.robust.nis_per_dof * error.shape[-1]
-        log_det = np.linalg.slogdet(factor.covariance)[1] - np.linalg.slogdet(expected)[1]
+        log_det = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(expected)[1]
         inlier = (1.0 - share) * np.exp(np.maximum(log_ratio, _LOG_RATIO_FLOOR))
         outlier = share * np.exp(-0.5 * edge + 0.5 * log_det)
         return inlier + outlier, inlier / (inlier + outlier)
@@ -125,3 +152,25 @@ class ParticleFilter:
         spread[:, 2] = se2.wrap(spread[:, 2])
         field = (spread * self._weights[:, None]).T @ spread
         self._covariance = se2.rotate_covariance(field, -self._mean[2])
+
+
+def _bearable(spread: FloatArray, covariance: FloatArray, left: float) -> float:
+    """How much of a factor's information, at most what is left of it, keeps a share of the particles alive.
+
+    spread: (m, m) of the cloud in the factor's error; covariance: (m, m) of the factor.
+    """
+    ratios = np.linalg.eigvals(np.linalg.solve(covariance, spread)).real
+    part = left
+    while np.prod(1.0 + part * ratios) > _MIN_ALIVE**-2:
+        part *= 0.5
+    return part
+
+
+def _drawn(weights: FloatArray, random: np.random.Generator) -> NDArray[np.int32]:
+    """filterpy draws from numpy's global generator: for this call it is seeded by ours, then gets its state back."""
+    before = np.random.get_state()  # noqa: NPY002
+    np.random.seed(int(random.integers(2**32)))  # noqa: NPY002
+    try:
+        return np.asarray(systematic_resample(weights))
+    finally:
+        np.random.set_state(before)  # noqa: NPY002
