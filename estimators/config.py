@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from fieldloc.repetition import ErrorCorrelation
+
 
 @dataclass(frozen=True, slots=True)
 class MotionNoise:
@@ -61,6 +63,8 @@ class Graph:
     turn_scale_sigma: float = 0.1
     veer_sigma_rad_per_m: float = 0.1
     crab_sigma_rad: float = 0.1
+    drift_sigma_mps: float = 0.02
+    turn_drift_sigma_radps: float = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,3 +73,4 @@ class Config:
     robust: Robust = field(default_factory=Robust)
     particles: Particles = field(default_factory=Particles)
     graph: Graph = field(default_factory=Graph)
+    correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)

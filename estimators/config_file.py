@@ -7,9 +7,13 @@ from typing import TypeVar
 
 from estimators.config import Config, Graph, MotionNoise, Particles, Robust
 from fieldloc.errors import FieldlocError
+from fieldloc.repetition import ErrorCorrelation
 from fieldloc.toml_table import TomlTable
 
-Section = TypeVar("Section", MotionNoise, Robust, Particles, Graph)
+_ABOVE_ZERO = ("nis_per_dof", "restart_after", "count", "cauchy")
+_BELOW_ONE = ("outlier_share",)
+
+Section = TypeVar("Section", MotionNoise, Robust, Particles, Graph, ErrorCorrelation)
 
 
 def load_config(path: Path) -> Config:
@@ -38,6 +42,7 @@ def _with_table(config: Config, table: TomlTable) -> Config:
         robust=_section(config.robust, table, "robust"),
         particles=_section(config.particles, table, "particles"),
         graph=_section(config.graph, table, "graph"),
+        correlation=_section(config.correlation, table, "correlation"),
     )
     table.finish()
     return changed
@@ -50,7 +55,9 @@ def _section(section: Section, whole: TomlTable, name: str) -> Section:
     values: dict[str, float] = {}
     for item in fields(section):
         default = getattr(section, item.name)
-        value = table.number(item.name, float(default))
+        value = table.number(item.name, float(default), positive=item.name in _ABOVE_ZERO)
+        if item.name in _BELOW_ONE and value >= 1.0:
+            table.fail(item.name, f"needs a share below 1, got {value}")
         if isinstance(default, int):
             if not value.is_integer():
                 table.fail(item.name, f"needs a whole number, got {value}")

@@ -49,12 +49,19 @@ class _Problem:
         self._chain = chain
         self._count = len(chain.stamps_ns)
         sigmas = np.array(
-            [config.scale_sigma, config.turn_scale_sigma, config.veer_sigma_rad_per_m, config.crab_sigma_rad]
+            [
+                config.scale_sigma,
+                config.turn_scale_sigma,
+                config.veer_sigma_rad_per_m,
+                config.crab_sigma_rad,
+                config.drift_sigma_mps,
+                config.turn_drift_sigma_radps,
+            ]
         )
         self._free = sigmas > 0.0
         self._prior_weights = 1.0 / sigmas[self._free]
         self._between = np.array([motion.before_from_after for motion in chain.motions]).reshape(-1, 3)
-        self._by_calibration = np.array([motion.by_calibration for motion in chain.motions]).reshape(-1, 3, 4)
+        self._by_calibration = np.array([motion.by_calibration for motion in chain.motions]).reshape(-1, 3, 6)
         covariances = np.array([motion.covariance for motion in chain.motions]).reshape(-1, 3, 3)
         roots = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariances + _MOTION_FLOOR)), -1, -2)
         self._motion_noise = [gtsam.noiseModel.Gaussian.SqrtInformation(root, False) for root in roots]
@@ -62,7 +69,7 @@ class _Problem:
         self._unary = _unary(chain, config)
 
     def solve(self) -> Solution:
-        calibration = np.zeros(4)
+        calibration = np.zeros(6)
         graph = self._graph(calibration)
         optimizer = gtsam.LevenbergMarquardtOptimizer(graph, _values(self._chain.guess))
         values = optimizer.optimize()

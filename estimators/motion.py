@@ -12,19 +12,24 @@ from fieldloc.pose import FloatArray
 
 _MAX_GAP_S = 60.0  # a longer silence, or a clock that jumped, makes the pose no more unknown than this
 _MAX_PERIOD_S = 1.0
+# all of a motion, and what is left of it from its end back to Gauss's two points: exact up to cubic, so straight ahead
+_WHOLE_AND_BACK = np.array([[1.0], [-0.5 - 0.5 / 3**0.5], [-0.5 + 0.5 / 3**0.5]])
 
 
 class OdometryCalibration(NamedTuple):
     """What odometry gets wrong in the same way all the time. All zero is a perfect one.
 
     Distances are longer by `scale`, turns by `turn_scale`; the robot turns `veer_rad_per_m` while it means to walk
-    straight, and walks `crab_rad` to the left of where its heading points.
+    straight, and walks `crab_rad` to the left of where its heading points. `drift_mps` forward and `turn_drift_radps`
+    are there at standstill too: a rate sensor's offset.
     """
 
     scale: float = 0.0
     turn_scale: float = 0.0
     veer_rad_per_m: float = 0.0
     crab_rad: float = 0.0
+    drift_mps: float = 0.0
+    turn_drift_radps: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +37,7 @@ class Increment:
     """Motion over an interval: field_from_after = field_from_before @ before_from_after.
 
     covariance: (3, 3) of its error, a robot-frame tangent at the end.
-    by_calibration: (3, 4) the change of that tangent with the odometry's calibration.
+    by_calibration: (3, 6) the change of that tangent with the odometry's calibration.
     """
 
     before_from_after: FloatArray
@@ -54,7 +59,7 @@ class Increment:
         return np.asarray(back @ covariance @ back.T)
 
 
-STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4)))
+STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)), np.zeros((3, 6)))
 
 
 class HeldVelocity:
@@ -75,7 +80,8 @@ class HeldVelocity:
             elapsed_s = (odometry.stamp_ns - self._odometry.stamp_ns) * 1e-9
             if elapsed_s < 0.0:
                 return
-            self._period_s = min(elapsed_s, _MAX_PERIOD_S)
+            if elapsed_s > 0.0:  # a message that comes twice says nothing of the period
+                self._period_s = min(elapsed_s, _MAX_PERIOD_S)
         self._odometry = odometry
 
     def advance(self, stamp_ns: int) -> Increment | None:
@@ -95,12 +101,25 @@ class HeldVelocity:
         assert self._odometry is not None
         velocity, stated = self._odometry.velocity, self._odometry.covariance
         tangent = velocity * duration_s
-        # stated noise is drawn anew with each message: over a part of the period it counts in proportion
-        density = self._density(velocity) if stated is None else stated * (self._period_s or duration_s)
+        moved, *back = se2.exp(_WHOLE_AND_BACK * tangent)
         spread = se2.right_jacobian(tangent)
+        if stated is None:
+            # white along the way: each part of it is carried to the end
+            to_end = se2.adjoint(np.array(back))
+            carried = to_end @ self._density(velocity) @ np.swapaxes(to_end, -1, -2)
+            covariance = carried.mean(axis=0) * duration_s
+        else:
+            # one error for all of a message: over a part of its period it counts in proportion
+            covariance = spread @ stated @ spread.T * ((self._period_s or duration_s) * duration_s)
         forward, left, turn = tangent
-        by_calibration = np.array([[forward, 0.0, 0.0, -left], [left, 0.0, 0.0, forward], [0.0, turn, forward, 0.0]])
-        return Increment(se2.exp(tangent), spread @ density @ spread.T * duration_s, spread @ by_calibration)
+        by_calibration = np.array(
+            [
+                [forward, 0.0, 0.0, -left, duration_s, 0.0],
+                [left, 0.0, 0.0, forward, 0.0, 0.0],
+                [0.0, turn, forward, 0.0, 0.0, duration_s],
+            ]
+        )
+        return Increment(moved, covariance, spread @ by_calibration)
 
     def _density(self, velocity: FloatArray) -> FloatArray:
         n = self._noise
@@ -119,4 +138,4 @@ class HeldVelocity:
 
     def _silent(self, duration_s: float) -> Increment:
         position, heading = self._noise.silent_m_per_sqrt_s**2, self._noise.silent_rad_per_sqrt_s**2
-        return Increment(np.zeros(3), np.diag([position, position, heading]) * duration_s, np.zeros((3, 4)))
+        return Increment(np.zeros(3), np.diag([position, position, heading]) * duration_s, np.zeros((3, 6)))

@@ -9,7 +9,7 @@ import numpy as np
 from fieldloc.association import Belief, seen_in_robot
 from fieldloc.camera import Camera
 from fieldloc.choice import choose_constraint, choose_fix
-from fieldloc.factors import Factor, LandmarkFactor, PoseFactor
+from fieldloc.factors import LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.field import FieldMap
 from fieldloc.fixes.base import Fix
 from fieldloc.fixes.line_poses import constraints_from_lines, poses_from_lines
@@ -23,7 +23,7 @@ _UNSURE_DISTANCE = 0.3  # relative: beyond it a single post's distance is no Gau
 
 def image_factors(
     features: ImageFeatures, camera: Camera, field: FieldMap, belief: Belief | None
-) -> tuple[Factor, ...]:
+) -> tuple[PoseFactor | LineFactor | LandmarkFactor, ...]:
     """At most one factor; none where the image leaves a doubt which of its solutions is right."""
     fixes = [fix for fix in (_posts(features, camera, field, belief), _lines(features, camera, field, belief)) if fix]
     if fixes:

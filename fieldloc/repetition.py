@@ -1,0 +1,48 @@
+"""The same landmark seen again a moment later: its errors are much the same, so it is little news.
+
+A landmark's apparent size is rounded to the same pixel, a tube stands a centimetre beside its place on the map, from
+here as from a step further on. With errors of correlation rho between consecutive sights, n of them know as much as
+n (1 - rho) / (1 + rho) independent ones: each gets that share, as a covariance that is so much wider.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldloc.pose import FloatArray
+
+_MAX_RHO = 0.999  # a burst at one stamp still counts for something
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorCorrelation:
+    """Over what time errors stay alike: of a landmark's range, of its bearing, of all that one camera image says.
+
+    0 takes every observation for news.
+    """
+
+    range_s: float = 2.0
+    bearing_s: float = 0.5
+    image_s: float = 1.0
+
+
+class Repetition:
+    """Remembers when each thing was last seen. Things are numbers: map indices, or one for all images."""
+
+    def __init__(self) -> None:
+        self._last_ns: dict[int, int] = {}
+
+    def age_s(self, thing: int, stamp_ns: int) -> float:
+        """Seconds since it was last seen, infinity at first; from now on it was last seen at this stamp."""
+        before_ns = self._last_ns.get(thing)
+        self._last_ns[thing] = stamp_ns
+        return math.inf if before_ns is None else max(stamp_ns - before_ns, 0) * 1e-9
+
+
+def inflation(age_s: FloatArray, correlation_s: float) -> FloatArray:
+    """By how much (...) to widen variances of errors that are alike over a time, seen again after the ages (...)."""
+    if correlation_s <= 0.0:
+        return np.ones_like(age_s)
+    rho = np.minimum(np.exp(-age_s / correlation_s), _MAX_RHO)
+    return np.asarray((1.0 + rho) / (1.0 - rho))
