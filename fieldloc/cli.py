@@ -28,7 +28,6 @@ from logs.reader import LogFile
 _RUNS = Path("runs")
 _ONLINE = ("ekf", "particles", "dead-reckoning")
 _COMPARED = "dead-reckoning,ekf,particles,smooth"
-
 Command = Callable[[argparse.Namespace], None]
 
 
@@ -92,7 +91,7 @@ def _localize(options: argparse.Namespace) -> None:
     out = output_file(options.output or _RUNS / f"{options.log.stem}-{name}.mcap", options.log)
     with _warning(log), _bar(options, name) as progress:
         recording = load_recording(log, field, progress)
-        done = replay(recording, ALL[name](config), options.start, progress)
+        done = replay(recording, ALL[name](config), options.start, config.correlation, progress)
         metadata = {"estimator": name, "log": options.log.name, "config": json.dumps(asdict(config))}
         write_estimates(out, recording, done, metadata, progress)
     _warn((*recording.warnings, *done.warnings))
@@ -119,7 +118,7 @@ def _compare(options: argparse.Namespace) -> None:
     done = []
     for log in [LogFile(path) for path in options.logs or [sample_path("woods")]]:
         with _warning(log), _bar(options, log.path.stem) as progress:
-            done.append(compare(log, {n: partial(ALL[n], config) for n in names}, field, options.start, progress))
+            done.append(compare(log, {n: ALL[n] for n in names}, config, field, options.start, progress))
         _warn((*done[-1].warnings, *done[-1].failures))
     if all(len(one.failures) == len(one.scored.runs) for one in done):
         raise FieldlocError("nothing to compare: no estimator has an estimate")
@@ -241,67 +240,61 @@ def _parser() -> argparse.ArgumentParser:
         description="Where a soccer robot stands: from its log to trajectories with covariances, compared and drawn.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(quiet=False)  # here, not below: the default of a source would hide what came before it
     parser.add_argument("--version", action="version", version=version("fieldloc"))
+    parser.set_defaults(quiet=False)
+    common = _Parser(add_help=False, argument_default=argparse.SUPPRESS)  # no default, it would hide an earlier --quiet
+    common.add_argument("--quiet", action="store_true", help="no progress, no summary; warnings and errors only")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     examples: dict[str, None] = {}
 
     def add(among: "argparse._SubParsersAction[_Parser]", name: str, run: Command, what: str, example: str) -> _Parser:
         examples[example] = None
-        sub = among.add_parser(
-            name, help=what, description=f"{what[0].upper()}{what[1:]}.", epilog=f"example: {example}"
-        )
+        sub = among.add_parser(name, help=what, description=f"{what}.", epilog=f"example: {example}", parents=[common])
         sub.set_defaults(command=run)
-        sub.add_argument(
-            "--quiet",
-            action="store_true",
-            default=argparse.SUPPRESS,
-            help="no progress, no summary; warnings and errors only",
-        )
         return sub
 
     woods = "fieldloc import woods dataset2.mat -o woods.mcap"
-    sub = add(commands, "import", _import, "a data set to a log", woods)
+    sub = add(commands, "import", _import, "A data set to a log", woods)
     sources = sub.add_subparsers(dest="source", metavar="SOURCE", required=True)
-    sub = add(sources, "woods", _import, "the 'lost in the woods' MATLAB file to a log", woods)
+    sub = add(sources, "woods", _import, "The 'lost in the woods' MATLAB file to a log", woods)
     sub.add_argument("path", type=Path, metavar="FILE.mat")
     _add_import_options(sub, "FILE.mcap")
     utias = "fieldloc import utias MRCLAM_Dataset6.tar.gz --robot 3"
-    sub = add(sources, "utias", _import, "one robot of a UTIAS MRCLAM data set to a log", utias)
+    sub = add(sources, "utias", _import, "One robot of a UTIAS MRCLAM data set to a log", utias)
     sub.add_argument("path", type=Path, metavar="DIR", help="the data set's folder, or its .tar.gz or .zip")
     sub.add_argument("--robot", type=int, required=True, metavar="K", help="1 to 5")
     _add_import_options(sub, "utias-robotK.mcap")
 
-    sub = add(commands, "info", _info, "what is in a log", "fieldloc info woods.mcap")
+    sub = add(commands, "info", _info, "What is in a log", "fieldloc info woods.mcap")
     sub.add_argument("log", type=Path, metavar="LOG")
 
     run = "fieldloc run woods.mcap --estimator ekf"
-    sub = add(commands, "run", _localize, "a log through an online estimator", run)
+    sub = add(commands, "run", _localize, "A log through an online estimator", run)
     sub.add_argument("log", type=Path, metavar="LOG")
     _add_estimation_options(sub, "OUT.mcap", "runs/LOG-ESTIMATOR.mcap")
     sub.add_argument("--estimator", choices=_ONLINE, default=_ONLINE[0], help="default: %(default)s")
 
     smooth = "fieldloc smooth woods.mcap -o best.mcap"
-    sub = add(commands, "smooth", _localize, "the best trajectory, in hindsight", smooth)
+    sub = add(commands, "smooth", _localize, "The best trajectory, in hindsight", smooth)
     sub.add_argument("log", type=Path, metavar="LOG")
     _add_estimation_options(sub, "OUT.mcap", "runs/LOG-smooth.mcap")
     sub.set_defaults(estimator="smooth")
 
     compare = "fieldloc compare woods.mcap --estimators ekf,smooth"
-    sub = add(commands, "compare", _compare, "estimators on the same logs: table, pictures, report", compare)
+    sub = add(commands, "compare", _compare, "Estimators on the same logs: table, pictures, report", compare)
     sub.add_argument("logs", type=Path, nargs="*", metavar="LOG", help="the sample log if none is given")
     sub.add_argument("--estimators", default=_COMPARED, metavar="A,B,...", help="default: %(default)s")
     _add_estimation_options(sub, "DIR", "runs/compare")
 
     evaluate = "fieldloc evaluate best.mcap --truth woods.mcap"
-    sub = add(commands, "evaluate", _evaluate, "estimates against truth", evaluate)
+    sub = add(commands, "evaluate", _evaluate, "Estimates against truth", evaluate)
     sub.add_argument("estimates", type=Path, metavar="OUT.mcap")
     sub.add_argument("--truth", type=Path, required=True, metavar="LOG", help="the log with the truth")
     sub.add_argument("--json", action="store_true", help="all numbers, see docs/metrics.md")
     apart = "pair stamps this close; default: %(default)s"
     sub.add_argument("--max-difference-s", type=_positive, default=0.01, metavar="S", help=apart)
 
-    sub = add(commands, "export", _export, "estimates as text", "fieldloc export best.mcap --format tum")
+    sub = add(commands, "export", _export, "Estimates as text", "fieldloc export best.mcap --format tum")
     sub.add_argument("log", type=Path, metavar="OUT.mcap")
     sub.add_argument("--format", choices=("tum", "csv"), required=True)
     sub.add_argument("--truth", action="store_true", help="the log's truth instead of its estimates")

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from estimators.base import Estimator
+from estimators.config import Config
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Truth
@@ -30,7 +31,8 @@ class Comparison:
 
 def compare(
     log: LogFile,
-    estimators: Mapping[str, Callable[[], Estimator]],
+    estimators: Mapping[str, Callable[[Config], Estimator]],
+    config: Config,
     field: FieldMap | None = None,
     start_pose: FloatArray | None = None,
     progress: Progress = unwatched,
@@ -45,7 +47,7 @@ def compare(
     warnings = dict.fromkeys(recording.warnings)
     for name, make in estimators.items():
         try:
-            done = replay(recording, make(), start_pose, partial(_of, progress, name))
+            done = replay(recording, make(config), start_pose, config.correlation, partial(_of, progress, name))
         except FieldlocError as error:
             runs.append(RunResult(name, from_estimates(()), np.zeros(0), 0.0))
             failures.append(f"{name}: {error}")

@@ -1,5 +1,6 @@
 """Who watches the work: a person at a terminal, or nobody."""
 
+import shutil
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,7 +32,8 @@ def watch(what: str, stream: TextIO | None) -> Iterator[Progress]:
         yield unwatched
         return
     over = threading.Event()
-    with tqdm(bar_format=_CLOCK, file=stream, leave=False, delay=1e9) as bar:  # drawn below, never by itself
+    columns = min(shutil.get_terminal_size().columns, 100)  # a terminal that says 0 has 80
+    with tqdm(bar_format=_CLOCK, file=stream, ncols=columns, leave=False, delay=1e9) as bar:  # drawn only below
 
         def progress(done: int, total: int, doing: str = "") -> None:
             bar.n, bar.total, bar.bar_format = done, total, _BAR if total else _CLOCK

@@ -16,6 +16,7 @@ from fieldloc.factors import Factor
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Measurement, Odometry
 from fieldloc.pose import FloatArray
+from fieldloc.repetition import ErrorCorrelation
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
 from logs.schema import seconds
@@ -23,6 +24,7 @@ from logs.schema import seconds
 _KINDS: tuple[type[Measurement], ...] = (Odometry, InitialPose, Compass, LandmarkScan, ImageFeatures)
 """What goes first at equal stamps: how the robot moves from there on, what it is told, what it sees."""
 
+_DEFAULT_CORRELATION = ErrorCorrelation()
 _START_COVARIANCE = np.diag([0.1, 0.1, np.radians(5.0)]) ** 2
 _PROGRESS_EVERY = 500
 _LATE_NS = 1_000_000_000  # an image's way through a robot is shorter; a longer one is a clock that was set
@@ -103,14 +105,16 @@ def replay(
     recording: Recording,
     estimator: Estimator,
     start_pose: FloatArray | None = None,
+    correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
     progress: Progress = unwatched,
 ) -> Replay:
     """Feed the recording to the estimator. start_pose: (3,) at the first measurement, known to about 0.1 m and 5 deg.
 
-    FieldlocError if the estimator never got to an estimate, or failed on the way.
+    correlation: how long errors stay alike. FieldlocError if the estimator never got to an estimate, or failed on the
+    way.
     """
     began = time.perf_counter()
-    builder = FactorBuilder(recording.field, recording.camera)
+    builder = FactorBuilder(recording.field, recording.camera, correlation)
     at_ns: int | None = recording.measurements[0].stamp_ns
     estimates: list[Estimate] = []
     update_s: list[float] = []
