@@ -1,7 +1,10 @@
 """The settings of all estimators in one frozen tree: the defaults, the TOML file, what is stored with results."""
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
+import numpy as np
+
+from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
 
 
@@ -51,20 +54,29 @@ class Particles:
 @dataclass(frozen=True, slots=True)
 class Graph:
     """node_interval_s: a pose at least this often, besides one at each factor. cauchy: scale of the robust kernel, in
-    sigmas of a factor.
-
-    The rest are the prior standard deviations of the odometry's calibration, which is estimated along with the poses;
-    0 takes the odometry at its word.
-    """
+    sigmas of a factor."""
 
     node_interval_s: float = 0.1
     cauchy: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Prior standard deviations of what odometry gets wrong all the time (estimators.motion.OdometryCalibration).
+
+    It is estimated along with the poses; all 0 takes the odometry at its word.
+    """
+
     scale_sigma: float = 0.1
     turn_scale_sigma: float = 0.1
     veer_sigma_rad_per_m: float = 0.1
     crab_sigma_rad: float = 0.1
     drift_sigma_mps: float = 0.02
     turn_drift_sigma_radps: float = 0.02
+
+    def sigmas(self) -> FloatArray:
+        """(6,) in the order of OdometryCalibration."""
+        return np.array(astuple(self))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,4 +85,5 @@ class Config:
     robust: Robust = field(default_factory=Robust)
     particles: Particles = field(default_factory=Particles)
     graph: Graph = field(default_factory=Graph)
+    calibration: Calibration = field(default_factory=Calibration)
     correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)

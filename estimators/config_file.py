@@ -5,7 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TypeVar
 
-from estimators.config import Config, Graph, MotionNoise, Particles, Robust
+from estimators.config import Calibration, Config, Graph, MotionNoise, Particles, Robust
 from fieldloc.errors import FieldlocError
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.toml_table import TomlTable
@@ -13,7 +13,7 @@ from fieldloc.toml_table import TomlTable
 _ABOVE_ZERO = ("nis_per_dof", "restart_after", "count", "cauchy")
 _BELOW_ONE = ("outlier_share",)
 
-Section = TypeVar("Section", MotionNoise, Robust, Particles, Graph, ErrorCorrelation)
+Section = TypeVar("Section", MotionNoise, Robust, Particles, Graph, Calibration, ErrorCorrelation)
 
 
 def load_config(path: Path) -> Config:
@@ -42,6 +42,7 @@ def _with_table(config: Config, table: TomlTable) -> Config:
         robust=_section(config.robust, table, "robust"),
         particles=_section(config.particles, table, "particles"),
         graph=_section(config.graph, table, "graph"),
+        calibration=_section(config.calibration, table, "calibration"),
         correlation=_section(config.correlation, table, "correlation"),
     )
     table.finish()

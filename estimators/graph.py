@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 
 from estimators.chain import Chain
-from estimators.config import Graph
+from estimators.config import Calibration, Config, Graph
 from estimators.motion import OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
@@ -37,27 +37,18 @@ class Solution:
     calibration: OdometryCalibration
 
 
-def solve(chain: Chain, config: Graph) -> Solution:
+def solve(chain: Chain, config: Config) -> Solution:
     """The most probable poses given all factors, each with its marginal covariance."""
-    return _with_big_stack(lambda: _Problem(chain, config).solve())
+    return _with_big_stack(lambda: _Problem(chain, config.graph, config.calibration).solve())
 
 
 class _Problem:
     """The poses have the keys 0 to n - 1, the free part of the calibration has n."""
 
-    def __init__(self, chain: Chain, config: Graph) -> None:
+    def __init__(self, chain: Chain, config: Graph, calibration: Calibration) -> None:
         self._chain = chain
         self._count = len(chain.stamps_ns)
-        sigmas = np.array(
-            [
-                config.scale_sigma,
-                config.turn_scale_sigma,
-                config.veer_sigma_rad_per_m,
-                config.crab_sigma_rad,
-                config.drift_sigma_mps,
-                config.turn_drift_sigma_radps,
-            ]
-        )
+        sigmas = calibration.sigmas()
         self._free = sigmas > 0.0
         self._prior_weights = 1.0 / sigmas[self._free]
         self._between = np.array([motion.before_from_after for motion in chain.motions]).reshape(-1, 3)

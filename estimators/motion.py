@@ -1,6 +1,6 @@
 """Odometry to motion: a velocity held between stamps, the motion it makes and how uncertain that is."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +51,11 @@ class Increment:
             back @ self.covariance @ back.T + other.covariance,
             back @ self.by_calibration + other.by_calibration,
         )
+
+    def calibrated(self, calibration: FloatArray) -> "Increment":
+        """The motion of an odometry with that calibration (6,), of which this is the uncalibrated one."""
+        moved = se2.retract(self.before_from_after, self.by_calibration @ calibration)
+        return replace(self, before_from_after=moved)
 
     @staticmethod
     def carry(covariance: FloatArray, before_from_after: FloatArray) -> FloatArray:

@@ -54,7 +54,7 @@ class Smoother:
         chain = self._recorder.chain()
         if chain is None:
             return ()
-        self.solution = solve(chain, self._config.graph)
+        self.solution = solve(chain, self._config)
         covariances = se2.rotate_covariance(self.solution.covariances, self.solution.poses[:, 2])
         return tuple(map(Estimate, chain.stamps_ns, self.solution.poses, covariances))
 
