@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from walks import SIGMA_BEARING_RAD, SIGMA_RANGE_M, Event, KnownFactor, feed, ns, transformed, velocities
+from walks import PLAIN, SIGMA_BEARING_RAD, SIGMA_RANGE_M, Event, KnownFactor, feed, ns, transformed, velocities
 
 from estimators.base import Estimate, Estimator
 from estimators.config import Config
@@ -28,14 +28,22 @@ NO_POSE: list[KnownFactor] = [
     LineFactor(ns(1), 1.0, 0.0, 0.5, P2),
 ]
 
+DEFAULT = Config()
+
 every = pytest.mark.parametrize("make", ALL.values(), ids=ALL.keys())
 correcting = pytest.mark.parametrize(
     "make", [make for name, make in ALL.items() if name != "dead-reckoning"], ids=[x for x in ALL if x[0] != "d"]
 )
 
 
-def started(make: Make, pose: FloatArray = START, covariance: FloatArray = P3, stamp_s: float = 1.0) -> Estimator:
-    estimator = make(Config())
+def started(
+    make: Make,
+    pose: FloatArray = START,
+    covariance: FloatArray = P3,
+    stamp_s: float = 1.0,
+    config: Config = DEFAULT,
+) -> Estimator:
+    estimator = make(config)
     estimator.update(PoseFactor(ns(stamp_s), pose, covariance))
     return estimator
 
@@ -168,7 +176,7 @@ def test_motion_is_the_exact_motion_of_a_plane(make: Make, velocity: Sequence[fl
 
 @every
 def test_motion_makes_less_certain_and_turns_the_covariance_along(make: Make) -> None:
-    estimator = started(make, covariance=np.diag([0.3, 0.01, 0.02]) ** 2)
+    estimator = started(make, covariance=np.diag([0.3, 0.01, 0.02]) ** 2, config=PLAIN)
     estimator.predict(Odometry(ns(1), np.array([0.0, 0.0, 1.0])))
     before = now(estimator)
     estimator.advance(ns(1.5))

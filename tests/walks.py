@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from estimators.base import Estimate, Estimator
-from estimators.config import MotionNoise
+from estimators.config import Calibration, Config, MotionNoise
 from estimators.motion import OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.factors import HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
@@ -25,6 +25,8 @@ FIELD = FieldMap(
     tuple(Landmark(str(i), position, 0.1, np.zeros((2, 2))) for i, position in enumerate(POSITIONS)),
 )
 PERFECT = OdometryCalibration()
+TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+PLAIN = Config(calibration=TAKEN_AT_ITS_WORD)
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.05, 0.03
 
 

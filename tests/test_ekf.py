@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from walks import FIELD, PLAIN, TAKEN_AT_ITS_WORD, feed, nees, ns, scan, velocities, walk
+
+from estimators.base import Estimate
+from estimators.config import Config, MotionNoise, Robust
+from estimators.ekf import Ekf
+from fieldloc import pose as se2
+from fieldloc.factor_builder import FactorBuilder
+from fieldloc.factors import Factor, LandmarkFactor, LineFactor, PoseFactor
+from fieldloc.measurements import Odometry
+from fieldloc.repetition import ErrorCorrelation
+
+P3 = np.array([[0.04, 0.01, 0.002], [0.01, 0.02, -0.003], [0.002, -0.003, 0.01]])
+ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0)
+SURE_OF_HEADING = 1e-14
+
+
+def test_without_turns_it_is_the_textbook_kalman_filter() -> None:
+    heading = 0.7
+    motion = MotionNoise(0.05, 0.03, 0.0, 0.0, 0.001, 0.0)
+    ekf = Ekf(Config(motion, Robust(nis_per_dof=1e9), calibration=TAKEN_AT_ITS_WORD))
+    random = np.random.default_rng(0)
+    start_covariance = np.diag([0.3**2, 0.1**2, SURE_OF_HEADING])
+    ekf.start(Estimate(0, np.array([1.0, 2.0, heading]), start_covariance))
+    turn = se2.rotation(heading)
+    fix_covariance = np.array([[0.02, 0.005], [0.005, 0.01]])
+
+    x, p = np.array([1.0, 2.0]), start_covariance[:2, :2]
+    for k in range(60):
+        forward, left = random.uniform(-1, 1, 2)
+        z = x + random.normal(0, 0.2, 2)
+        # the textbook, in field axes
+        x = x + turn @ [0.1 * forward, 0.1 * left]
+        along = 0.05**2 * abs(forward) + 0.03**2 * abs(left) + 0.001**2
+        across = 0.05**2 * abs(left) + 0.03**2 * abs(forward) + 0.001**2
+        p = p + turn @ np.diag([0.1 * along, 0.1 * across]) @ turn.T
+        gain = p @ np.linalg.inv(p + fix_covariance)
+        x = x + gain @ (z - x)
+        p = (np.eye(2) - gain) @ p
+        # and ours
+        ekf.predict(Odometry(ns(0.1 * k), np.array([forward, left, 0.0])))
+        fix = np.zeros((3, 3))
+        fix[:2, :2], fix[2, 2] = turn.T @ fix_covariance @ turn, 0.1
+        ekf.update(PoseFactor(ns(0.1 * (k + 1)), np.array([*z, heading]), fix))
+    estimate = ekf.estimate()
+    assert estimate is not None
+    np.testing.assert_allclose(estimate.pose[:2], x, atol=1e-9)
+    np.testing.assert_allclose(estimate.covariance[:2, :2], p, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["landmark", "line", "pose"])
+def test_an_update_adds_the_factors_information(kind: str) -> None:
+    pose = np.array([1.0, 2.0, 2.5])
+    seen = se2.apply(se2.inverse(pose), np.array([3.0, 3.0]))
+    noise = np.array([[0.03, 0.01], [0.01, 0.02]])
+    exact: dict[str, Factor] = {  # no residual, so nothing but the information counts
+        "landmark": LandmarkFactor(0, np.array([3.0, 3.0]), seen, noise),
+        "line": LineFactor(0, 2.5, 0.4, float(np.cos(0.4) + 2 * np.sin(0.4)), noise),
+        "pose": PoseFactor(0, pose, P3[::-1, ::-1]),
+    }
+    factor = exact[kind]
+    ekf = Ekf(Config())
+    ekf.update(PoseFactor(0, pose, P3))
+    ekf.update(factor)
+    estimate = ekf.estimate()
+    assert estimate is not None
+    jacobian = factor.jacobian(pose)
+    information = np.linalg.inv(P3) + jacobian.T @ np.linalg.inv(factor.covariance) @ jacobian
+    robot = se2.rotate_covariance(estimate.covariance, -pose[2])
+    np.testing.assert_allclose(robot, np.linalg.inv(information), atol=1e-12)
+    np.testing.assert_allclose(estimate.pose, pose, atol=1e-12)
+
+
+def test_who_knew_nothing_takes_over_a_whole_pose_with_its_covariance() -> None:
+    ekf = Ekf(Config())
+    ekf.update(PoseFactor(0, np.zeros(3), np.diag([1e3, 1e3, 1e3])))
+    seen = np.array([0.3, -0.2, 0.25])
+    ekf.update(PoseFactor(0, seen, P3))
+    estimate = ekf.estimate()
+    assert estimate is not None
+    np.testing.assert_allclose(estimate.pose, seen, atol=1e-3)
+    # first order: what is left is of the turn's second order, 0.25**2 / 6 = 1 %
+    scale = np.sqrt(np.diag(P3))
+    robot = se2.rotate_covariance(estimate.covariance, -seen[2]) / np.outer(scale, scale)
+    np.testing.assert_allclose(robot, P3 / np.outer(scale, scale), atol=0.03)
+
+
+def test_a_factor_that_disagrees_is_widened_until_it_is_at_the_limit() -> None:
+    config = Config(robust=Robust(nis_per_dof=4.0, restart_after=99))
+    ekf = Ekf(config)
+    ekf.update(PoseFactor(0, np.zeros(3), np.diag([0.1, 0.1, 0.1]) ** 2))
+    innovation = ekf.update(PoseFactor(0, np.array([1.0, 0.0, 0.0]), np.diag([0.1, 0.1, 0.1]) ** 2))
+    assert innovation is not None
+    assert innovation.nis == pytest.approx(50.0)  # 1 m^2 in 0.02 m^2
+    assert innovation.weight == pytest.approx(12.0 / 50.0)
+    estimate = ekf.estimate()
+    assert estimate is not None
+    # the gain of a variance of 0.01 * 50 / 12 beside one of 0.01
+    assert estimate.pose[0] == pytest.approx(1.0 / (1.0 + 50.0 / 12.0))
+    assert estimate.covariance[0, 0] == pytest.approx(0.01 * (50.0 / 12.0) / (1.0 + 50.0 / 12.0))
+
+
+@pytest.mark.parametrize("at_s", [10.0, 5.5])
+def test_the_errors_of_many_walks_are_as_large_as_the_filter_says(at_s: float) -> None:
+    walks, steps = 80, round(10 * at_s)
+    random = np.random.default_rng(7)
+    start_sigma = np.array([0.2, 0.1, 0.1])
+    first = np.array([0.5, -0.5, 1.0])
+    starts = se2.retract(first, start_sigma * random.standard_normal((walks, 3)))
+    commands = velocities(steps)
+    truth = walk(starts, commands, 0.1, random)
+    total = 0.0
+    for i in range(walks):
+        ekf, builder = Ekf(PLAIN), FactorBuilder(FIELD, correlation=ALL_NEWS)
+        ekf.start(Estimate(0, first, se2.rotate_covariance(np.diag(start_sigma**2), first[2])))
+        for k, command in enumerate(commands):
+            ekf.predict(Odometry(ns(0.1 * k), command))
+            if k % 8 == 5:
+                feed(ekf, builder.build(scan(ns(0.1 * k), truth[k, i], random), None))
+        ekf.advance(ns(0.1 * steps))
+        estimate = ekf.estimate()
+        assert estimate is not None
+        total += nees(estimate, truth[-1, i])
+    # one time per walk, so the walks are independent: chi-square, 3 * 80 degrees of freedom, 99.9 % two-sided
+    assert chi2.ppf(0.0005, 3 * walks) < total < chi2.ppf(0.9995, 3 * walks)
