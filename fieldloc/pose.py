@@ -22,7 +22,10 @@ def wrap(angle_rad: FloatArray | float) -> FloatArray:
 def rotation(heading_rad: FloatArray | float) -> FloatArray:
     """Rotation matrices (..., 2, 2) that turn vectors counter-clockwise by the heading (...)."""
     c, s = np.cos(heading_rad), np.sin(heading_rad)
-    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    out = np.empty((*np.shape(c), 2, 2))
+    out[..., 0, 0] = out[..., 1, 1] = c
+    out[..., 0, 1], out[..., 1, 0] = -s, s
+    return out
 
 
 def rotation3(heading_rad: FloatArray | float) -> FloatArray:
@@ -47,21 +50,22 @@ def apply(a_from_b: FloatArray, points_in_b: FloatArray) -> FloatArray:
     """Points (..., 2) of frame b in frame a; poses (..., 3) and points broadcast."""
     c, s = np.cos(a_from_b[..., 2]), np.sin(a_from_b[..., 2])
     x, y = points_in_b[..., 0], points_in_b[..., 1]
-    return np.stack([a_from_b[..., 0] + c * x - s * y, a_from_b[..., 1] + s * x + c * y], axis=-1)
+    return _joined(a_from_b[..., 0] + c * x - s * y, a_from_b[..., 1] + s * x + c * y)
 
 
 def compose(a_from_b: FloatArray, b_from_c: FloatArray) -> FloatArray:
     """a_from_c (..., 3), heading wrapped; stacks broadcast."""
-    position = apply(a_from_b, b_from_c[..., :2])
+    c, s = np.cos(a_from_b[..., 2]), np.sin(a_from_b[..., 2])
+    x, y = b_from_c[..., 0], b_from_c[..., 1]
     heading = wrap(a_from_b[..., 2] + b_from_c[..., 2])
-    return np.concatenate([position, heading[..., None]], axis=-1)
+    return _joined(a_from_b[..., 0] + c * x - s * y, a_from_b[..., 1] + s * x + c * y, heading)
 
 
 def inverse(a_from_b: FloatArray) -> FloatArray:
     """b_from_a (..., 3)."""
     c, s = np.cos(a_from_b[..., 2]), np.sin(a_from_b[..., 2])
     x, y = a_from_b[..., 0], a_from_b[..., 1]
-    return np.stack([-c * x - s * y, s * x - c * y, wrap(-a_from_b[..., 2])], axis=-1)
+    return _joined(-c * x - s * y, s * x - c * y, wrap(-a_from_b[..., 2]))
 
 
 def between(a_from_b: FloatArray, a_from_c: FloatArray) -> FloatArray:
@@ -75,7 +79,7 @@ def exp(tangent: FloatArray) -> FloatArray:
     a, b = _arc_coefficients(angle)
     x = a * tangent[..., 0] - b * tangent[..., 1]
     y = b * tangent[..., 0] + a * tangent[..., 1]
-    return np.stack([x, y, wrap(angle)], axis=-1)
+    return _joined(x, y, wrap(angle))
 
 
 def log(pose: FloatArray) -> FloatArray:
@@ -85,7 +89,7 @@ def log(pose: FloatArray) -> FloatArray:
     scale = 1.0 / (a * a + b * b)
     x = (a * pose[..., 0] + b * pose[..., 1]) * scale
     y = (-b * pose[..., 0] + a * pose[..., 1]) * scale
-    return np.stack([x, y, angle], axis=-1)
+    return _joined(x, y, angle)
 
 
 def retract(pose: FloatArray, tangent: FloatArray) -> FloatArray:
@@ -138,3 +142,11 @@ def _arc_coefficients(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
     # 2 sin^2(a/2) instead of 1 - cos(a): no cancellation
     b = np.where(small, angle / 2.0, 2.0 * np.sin(safe / 2.0) ** 2 / safe)
     return np.asarray(a), np.asarray(b)
+
+
+def _joined(*parts: FloatArray) -> FloatArray:
+    """The parts (...), which broadcast, side by side (..., k). For one pose half the cost of np.stack."""
+    out = np.empty((*np.broadcast(*parts).shape, len(parts)))
+    for i, part in enumerate(parts):
+        out[..., i] = part
+    return out
