@@ -67,7 +67,8 @@ class PostObservation:
 
     edges_px: (2, 2) one point on its left edge, one on its right edge, ideally at the horizon's height; (u, v) each.
     covariance_px2: (4, 4) of (left u, left v, right u, right v).
-    foot_px: (2,) the middle of where it meets the ground, or None; foot_covariance_px2 (2, 2) with it.
+    foot_px: (2,) the middle of its visible contact with the ground, so a radius in front of its axis, or None;
+    foot_covariance_px2 (2, 2) with it.
     label: its name on the map, or None where its identity is unknown.
     """
 

@@ -15,7 +15,7 @@ n posts or landmarks, m on the map. "labelled": it is known which is which.
 | one_post.arc_of_one_post | one post: bearing, size of known scale | 1 arc of poses | paper eq. 3 |
 | post_feet.sight_posts | posts' feet or widths, camera's place | joint bearings, distances | paper eqs. 14-15 |
 | post_feet.fix_two_posts_of_image | the same, two labelled posts | 1 or 2 | same, then ranged_posts |
-| landmarks.landmark_fix | n >= 2 labelled: ranges, bearings | 1 | rigid alignment, Gauss-Newton; Krotkov 1989 |
+| landmarks.landmark_fix | n >= 2 labelled: ranges, bearings | 0 to 2 | rigid alignment, Gauss-Newton; Krotkov 1989 |
 | labelling.label_landmarks | n >= 2 not labelled: ranges, bearings | all | Sugihara 1988 |
 | resection.resection_fix | n >= 3 labelled: bearings only | 1 | three-point resection; Krotkov 1989 |
 | labelling_bearings.label_bearings | n >= 3 not labelled: bearings only | all, up to a bound | Sugihara 1988 |

@@ -10,8 +10,9 @@ class Fix:
     """One pose of the robot that explains what was seen.
 
     pose: (3,) field_from_robot.
-    covariance: (3, 3) of (x_m, y_m, heading_rad) in field axes, propagated from the observation.
-    log_weight: how well it explains the observation, log-likelihood up to a constant common to all solutions of one image.
+    covariance: (3, 3) of (x_m, y_m, heading_rad) in field axes, propagated from the observation; to first order where
+    that is honest, and beyond it wide enough to cover how the solution really moves.
+    log_weight: log-likelihood of the observation, up to a constant common to all solutions of one image.
     solver: the function that found it.
     """
 
