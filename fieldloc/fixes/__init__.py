@@ -20,7 +20,7 @@ n posts or landmarks, m on the map. "labelled": it is known which is which.
 | resection.resection_fix | n >= 3 labelled: bearings only | 1 | three-point resection; Krotkov 1989 |
 | labelling_bearings.label_bearings | n >= 3 not labelled: bearings only | all, up to a bound | Sugihara 1988 |
 | vanishing.bearing_of_vanishing_point | a vanishing point, attitude | 1, modulo 90 deg | paper eq. 13, general case |
-| lines.lines_on_the_ground | n >= 1 line segments, camera height and attitude | 1, modulo 90 deg | paper eqs. 13-15, one fit |
-| line_poses.poses_from_lines | lines of both directions, map | all; on a soccer field at least 2 | linear least squares |
+| lines.lines_on_the_ground | n >= 1 line segments, camera's place | 1, modulo 90 deg | paper eqs. 13-15, one fit |
+| line_poses.poses_from_lines | lines of both directions, map | all; 2 or more on a soccer field | least squares |
 | line_poses.constraints_from_lines | lines of one direction, map | all: heading and one coordinate | same |
 """
