@@ -1,0 +1,109 @@
+"""From a data set's files to the numbers of an evaluation, through the command line, with the shipped settings."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from real_logs import nearer_than, sample_messages, write
+
+from fieldloc.cli import main
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+MRCLAM = DATA / "mrclam" / "MRCLAM_Dataset6.tar.gz"
+WOODS = DATA / "woods" / "dataset2.mat"
+needs_mrclam = pytest.mark.skipif(not MRCLAM.is_file(), reason=f"{MRCLAM} is missing: UTIAS data set 6")
+needs_woods = pytest.mark.skipif(not WOODS.is_file(), reason=f"{WOODS} is missing: the 'lost in the woods' data set")
+
+Evaluated = dict[str, float]
+Evaluate = Callable[[Path, str], Evaluated]
+
+
+@pytest.fixture
+def evaluated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Evaluate:
+    """The metrics of an estimator on a log."""
+
+    def evaluate(log: Path, estimator: str) -> Evaluated:
+        out = tmp_path / f"{log.stem}-{estimator}.mcap"
+        how = ["smooth"] if estimator == "smooth" else ["run", "--estimator", estimator]
+        assert main([*how, str(log), "-o", str(out), "--quiet"]) == 0
+        capsys.readouterr()
+        assert main(["evaluate", str(out), "--truth", str(log), "--json"]) == 0
+        metrics: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return {key: value for key, value in metrics.items() if isinstance(value, float | int)}
+
+    return evaluate
+
+
+# -- lost in the woods -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def two_minutes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample's first two minutes, cut as `import woods --max-range-m 3` cuts them."""
+    return write(tmp_path_factory.mktemp("woods") / "woods.mcap", sample_messages(120.0), nearer_than(3.0))
+
+
+@pytest.mark.parametrize(
+    ("estimator", "ate_m", "heading_deg"), [("smooth", 0.04, 1.5), ("ekf", 0.08, 2.0), ("particles", 0.08, 2.0)]
+)
+def test_two_minutes_in_the_woods(
+    two_minutes: Path, evaluated: Evaluate, estimator: str, ate_m: float, heading_deg: float
+) -> None:
+    metrics = evaluated(two_minutes, estimator)
+    assert metrics["matched_poses"] == metrics["true_poses"] > 1000
+    assert metrics["ate_rmse_m"] <= ate_m
+    assert metrics["heading_rmse_deg"] <= heading_deg
+    assert metrics["ate_max_m"] < 0.3
+
+
+def test_every_estimator_beats_dead_reckoning_in_the_woods(two_minutes: Path, evaluated: Evaluate) -> None:
+    reckoned = evaluated(two_minutes, "dead-reckoning")["ate_rmse_m"]
+    assert evaluated(two_minutes, "ekf")["ate_rmse_m"] < 0.3 * reckoned
+
+
+@needs_woods
+@pytest.mark.slow
+def test_the_woods_from_its_file_to_the_numbers(tmp_path: Path, evaluated: Evaluate) -> None:
+    log = tmp_path / "woods.mcap"
+    assert main(["import", "woods", str(WOODS), "-o", str(log), "--max-range-m", "3", "--quiet"]) == 0
+    smoothed, filtered = evaluated(log, "smooth"), evaluated(log, "ekf")
+    assert smoothed["truth_covered"] == filtered["truth_covered"] == 1.0
+    assert smoothed["ate_rmse_m"] <= 0.04
+    assert smoothed["heading_rmse_deg"] <= 1.5
+    assert filtered["ate_rmse_m"] <= 0.08
+    assert evaluated(log, "particles")["ate_rmse_m"] <= 0.08
+
+
+# -- MRCLAM 6: five robots, starts unknown -----------------------------------------------------------------------------
+
+
+@needs_mrclam
+@pytest.mark.slow
+def test_no_robot_of_mrclam_6_gets_lost(tmp_path: Path) -> None:
+    logs = [tmp_path / f"robot{robot}.mcap" for robot in range(1, 6)]
+    for robot, log in enumerate(logs, start=1):
+        assert main(["import", "utias", str(MRCLAM), "--robot", str(robot), "-o", str(log), "--quiet"]) == 0
+    names = ["smooth", "ekf", "particles"]
+    assert main(["compare", *map(str, logs), "--estimators", ",".join(names), "-o", str(tmp_path / "out")]) == 0
+    document = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    results = {name: [log["estimators"][name] for log in document["logs"]] for name in names}
+
+    def mean(name: str) -> float:
+        return sum(metrics["ate_rmse_m"] for metrics in results[name]) / len(logs)
+
+    assert mean("smooth") <= 0.13
+    assert mean("ekf") <= 0.25
+    assert mean("particles") <= 0.25
+    assert max(metrics["ate_max_m"] for of_all in results.values() for metrics in of_all) < 1.5
+    assert min(metrics["truth_covered"] for of_all in results.values() for metrics in of_all) > 0.9
+
+
+@needs_mrclam
+def test_a_robot_of_mrclam_6_keeps_the_stamps_of_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "robot3.mcap"
+    assert main(["import", "utias", str(MRCLAM), "--robot", "3", "-o", str(log)]) == 0
+    assert main(["export", str(log), "--format", "tum", "--truth"]) == 0
+    first = (tmp_path / "robot3.tum").read_text().splitlines()[0].split()
+    assert first[0] == "1248444175.103000000"
