@@ -26,6 +26,7 @@ Distortion = tuple[float, ...]
 _ITERATIONS = 60  # a bisection alone ends within them; Newton takes about six
 _FAR = 1e6  # tangent of the widest angle a pinhole is asked for
 _LAST_STEP = 1e-9  # Newton doubles the digits: what is left after such a step is below rounding
+_ON_AXIS = 1e-150  # nearer to the axis numbers lose their digits
 _SAME = 1e-10  # a solution that does not project back to its point within this is none
 
 
@@ -64,7 +65,7 @@ def _unproject_pinhole(distortion: Distortion, plane: FloatArray) -> tuple[Float
         limit = _pinhole_limit(distortion)
         radius = np.hypot(plane[..., 0], plane[..., 1])
         undistorted = _invert(lambda r: _radial(distortion, r), radius, limit)
-        ideal = plane * np.where(radius > 0, undistorted / radius, 1.0)[..., None]
+        ideal = plane * np.where(radius > _ON_AXIS, undistorted / radius, 1.0)[..., None]
         for _ in range(_ITERATIONS):
             value, jacobian = _distort(distortion, ideal)
             step = _solve(jacobian, value - plane)
@@ -82,7 +83,7 @@ def _project_fisheye(distortion: Distortion, rays: FloatArray) -> tuple[FloatArr
     side = np.hypot(xy[..., 0], xy[..., 1])
     angle = np.arctan2(side, z)
     radius, slope = _fisheye_radius(distortion, angle)
-    on_axis = side == 0
+    on_axis = side < _ON_AXIS
     scale = np.where(on_axis, 1.0 / z, radius / side)
     outward = xy / np.where(on_axis, 1.0, side)[..., None]
     length2 = side**2 + z**2
@@ -99,7 +100,7 @@ def _unproject_fisheye(distortion: Distortion, plane: FloatArray) -> tuple[Float
     limit = _fisheye_limit(distortion)
     angle = _invert(lambda t: _fisheye_radius(distortion, t), radius, limit)
     mask = (np.abs(_fisheye_radius(distortion, angle)[0] - radius) < _SAME) & (angle < limit)
-    outward = plane / np.where(radius > 0, radius, 1.0)[..., None]
+    outward = plane / np.where(radius > _ON_AXIS, radius, 1.0)[..., None]
     return np.concatenate([np.sin(angle)[..., None] * outward, np.cos(angle)[..., None]], axis=-1), mask
 
 
