@@ -13,17 +13,21 @@ def output_file(path: Path, source: Path) -> Path:
             raise FieldlocError(f"{path}: is a directory; give a file with -o")
         if path.exists() and source.exists() and path.samefile(source):
             raise FieldlocError(f"{path}: is what is read; give another file with -o")
-        output_folder(path.parent)
     except OSError as error:
         raise FieldlocError(f"{path}: cannot be written: {error.strerror}") from None
+    _check_folder(path.parent, path)
     return path
 
 
 def output_folder(path: Path) -> Path:
     """`path`; FieldlocError where files cannot be written into it, or it cannot be made."""
-    nearest = next(place for place in (path.absolute(), *path.absolute().parents) if place.exists())
-    if not nearest.is_dir():
-        raise FieldlocError(f"{path}: cannot be written to: {nearest} is a file")
-    if not os.access(nearest, os.W_OK):
-        raise FieldlocError(f"{path}: cannot be written to: no permission for {nearest}")
+    _check_folder(path, path)
     return path
+
+
+def _check_folder(folder: Path, path: Path) -> None:
+    nearest = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    if not nearest.is_dir():
+        raise FieldlocError(f"{path}: cannot be written: {nearest} is a file")
+    if not os.access(nearest, os.W_OK):
+        raise FieldlocError(f"{path}: cannot be written: no permission for {nearest}")

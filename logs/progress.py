@@ -32,8 +32,9 @@ def watch(what: str, stream: TextIO | None) -> Iterator[Progress]:
         yield unwatched
         return
     over = threading.Event()
-    columns = min(shutil.get_terminal_size().columns, 100)  # a terminal that says 0 has 80
-    with tqdm(bar_format=_CLOCK, file=stream, ncols=columns, leave=False, delay=1e9) as bar:  # drawn only below
+    columns, rows = shutil.get_terminal_size()  # some terminals say 0, which is 80 x 24
+    line = {"ncols": min(columns, 100), "nrows": rows, "file": stream, "leave": False}
+    with tqdm(bar_format=_CLOCK, delay=1, **line) as bar:  # drawn only below
 
         def progress(done: int, total: int, doing: str = "") -> None:
             bar.n, bar.total, bar.bar_format = done, total, _BAR if total else _CLOCK
@@ -41,6 +42,7 @@ def watch(what: str, stream: TextIO | None) -> Iterator[Progress]:
 
         def draw() -> None:
             while not over.wait(_PATIENCE_S):
+                bar.delay = 0  # else tqdm believes to the end that nothing was shown, and leaves it there
                 bar.refresh()
 
         progress(0, 0)

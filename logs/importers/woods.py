@@ -106,7 +106,7 @@ def _load(path: Path) -> dict[str, FloatArray]:
     """The arrays by name: columns (k,), scalars (), l (n, 2), r and b (k, n); checked to fit each other."""
     names = (*_COLUMNS, *_SCALARS, *_MATRICES)
     try:
-        raw = scipy.io.loadmat(path, variable_names=names)
+        raw = scipy.io.loadmat(str(path), appendmat=False, variable_names=names)
     except FileNotFoundError:
         raise FieldlocError(f"{path}: no such file; give the data set's .mat file") from None
     except _UNREADABLE as error:
