@@ -1,6 +1,8 @@
 """The whole past of one robot: poses in a row, the motion between neighbours, the factors on each."""
 
-from dataclasses import dataclass
+from bisect import bisect_left
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,6 +10,8 @@ from estimators.motion import STANDSTILL, Increment
 from fieldloc import pose as se2
 from fieldloc.factors import Factor
 from fieldloc.pose import FloatArray
+
+_ANYWHERE = np.diag([100.0, 100.0, 10.0]) ** 2  # of the motion of a robot that was carried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,8 +52,12 @@ class ChainRecorder:
         self._guess[-1] = pose
         self._factors.append((len(self._stamps_ns) - 1, factor))
 
-    def chain(self) -> Chain | None:
-        """None while no pose is known. Before the first known pose the guess goes back along the motion."""
+    def chain(self, carried_ns: Iterable[tuple[int, int]] = ()) -> Chain | None:
+        """None while no pose is known. Before the first known pose the guess goes back along the motion.
+
+        carried_ns: from when to when the robot was not where it was thought to be. It may have come from anywhere to
+        the first node of such a time, and in its course the guess goes back from its end.
+        """
         first = next((k for k, pose in enumerate(self._guess) if pose is not None), None)
         if first is None:
             return None
@@ -57,9 +65,17 @@ class ChainRecorder:
         for k in range(first, len(guess)):
             known = self._guess[k]
             guess[k] = se2.compose(guess[k - 1], self._motions[k - 1].before_from_after) if known is None else known
-        for k in reversed(range(first)):
-            guess[k] = se2.compose(guess[k + 1], se2.inverse(self._motions[k].before_from_after))
-        return Chain(tuple(self._stamps_ns), tuple(self._motions), tuple(self._factors), np.array(guess))
+        motions = self._motions.copy()
+        backwards = [(0, first)]
+        for since_ns, found_ns in carried_ns:
+            since, found = bisect_left(self._stamps_ns, since_ns), bisect_left(self._stamps_ns, found_ns)
+            backwards.append((since, min(found, len(guess) - 1)))
+            if since > 0:
+                motions[since - 1] = replace(motions[since - 1], covariance=_ANYWHERE)
+        for start, end in backwards:
+            for k in reversed(range(start, end)):
+                guess[k] = se2.compose(guess[k + 1], se2.inverse(self._motions[k].before_from_after))
+        return Chain(tuple(self._stamps_ns), tuple(motions), tuple(self._factors), np.array(guess))
 
     def _node(self, stamp_ns: int, pose: FloatArray | None) -> None:
         if self._stamps_ns:

@@ -17,6 +17,8 @@ class Restart:
         self._after = after
         self._elsewhere: PoseFactor | None = None
         self._count = 0
+        self.since_ns = 0
+        """The stamp of the first of the poses that last disagreed alike."""
 
     def forget(self) -> None:
         """Begin anew, as after a start."""
@@ -39,7 +41,9 @@ class Restart:
             self.forget()
             return None
         alike = self._elsewhere is not None and _agree(self._elsewhere, factor)
-        self._count = self._count + 1 if alike else 1
+        if not alike:
+            self._count, self.since_ns = 0, factor.stamp_ns
+        self._count += 1
         self._elsewhere = factor
         if self._count < self._after:
             return None

@@ -30,6 +30,8 @@ class Ekf:
         self._motion = HeldVelocity(config.motion)
         self._restart = Restart(config.robust.restart_after)
         self._pose: FloatArray | None = None
+        self.carried_ns: list[tuple[int, int]] = []
+        """From when to when it was somewhere else unnoticed, for each restart."""
         self._calibration = np.zeros(_CALIBRATION)
         self._filter = ExtendedKalmanFilter(dim_x=3 + _CALIBRATION, dim_z=3)
         self._filter.x = np.zeros(3 + _CALIBRATION)
@@ -38,6 +40,7 @@ class Ekf:
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
+        self.carried_ns = []
         self._believe(estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
 
     def predict(self, odometry: Odometry) -> None:
@@ -68,6 +71,7 @@ class Ekf:
         weight = min(1.0, self._config.robust.nis_per_dof * len(residual) / max(nis, 1e-300))
         innovation = Innovation(factor.stamp_ns, residual, expected, nis, weight)
         if (elsewhere := self._restart.consider(factor, disagrees=weight < 1.0)) is not None:
+            self.carried_ns.append((self._restart.since_ns, elsewhere.stamp_ns))
             self._believe(elsewhere.pose, elsewhere.covariance)
             return innovation
         by_state = np.pad(jacobian, [(0, 0), (0, _CALIBRATION)])

@@ -1,8 +1,9 @@
 """The chain as a factor graph in GTSAM: the batch solution, its marginals and the odometry's calibration.
 
-Native factors only: one Python factor makes the optimiser's time grow with the square of the number of poses. The
-calibration enters by hand: the linearised graph gets four more columns, so each step solves for poses and calibration
-together, and the marginals know that it is not known exactly.
+Native factors only: one Python factor makes the optimiser's time grow with the square of the number of poses. What
+gtsam has no factor for enters the linearised graph by hand, in the steps that follow the optimiser's: the calibration
+as columns more, so that each step solves for poses and calibration together and the marginals know that it is not known
+exactly; and lines of one direction, which the optimiser knows only as poses that are free along the line.
 """
 
 import threading
@@ -23,8 +24,8 @@ from fieldloc.pose import FloatArray
 _STACK_BYTES = 512 * 1024 * 1024  # elimination recurses: 90,000 poses overflow the usual 8 MB; only touched pages count
 _MAX_STEPS = 10
 _CONVERGED = 1e-5  # relative change of the graph's error
-# a robot that stands still moves less than this; gtsam needs a covariance that can be inverted
-_MOTION_FLOOR = np.diag([1e-6, 1e-6, 1e-6]) ** 2
+# a robot that stands still for a moment moves less; gtsam takes a system with much smaller ones for indeterminate
+_MOTION_FLOOR = np.diag([1e-4, 1e-4, 1e-4]) ** 2
 _WEAK_SIGMAS = np.array([100.0, 100.0, 10.0])  # keeps a chain determined whose factors leave a direction free
 
 
@@ -53,39 +54,42 @@ class _Problem:
         self._prior_weights = 1.0 / sigmas[self._free]
         self._between = np.array([motion.before_from_after for motion in chain.motions]).reshape(-1, 3)
         self._by_calibration = np.array([motion.by_calibration for motion in chain.motions]).reshape(-1, 3, 6)
-        covariances = np.array([motion.covariance for motion in chain.motions]).reshape(-1, 3, 3)
-        roots = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariances + _MOTION_FLOOR)), -1, -2)
-        self._motion_noise = [gtsam.noiseModel.Gaussian.SqrtInformation(root, False) for root in roots]
-        self._columns = -roots @ self._by_calibration[:, :, self._free]
-        self._unary = _unary(chain, config)
+        covariances = np.array([motion.covariance for motion in chain.motions]).reshape(-1, 3, 3) + _MOTION_FLOOR
+        self._roots = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariances)), -1, -2)
+        self._motion_noise = [gtsam.noiseModel.Gaussian.SqrtInformation(root, False) for root in self._roots]
+        self._cauchy = config.cauchy
+        self._lines = [(node, factor) for node, factor in chain.factors if isinstance(factor, LineFactor)]
+        self._unary = _unary(chain, config.cauchy)
 
     def solve(self) -> Solution:
         calibration = np.zeros(6)
         graph = self._graph(calibration)
-        optimizer = gtsam.LevenbergMarquardtOptimizer(graph, _values(self._chain.guess))
+        with_lines = gtsam.NonlinearFactorGraph(graph)
+        for node, line in self._lines:
+            with_lines.add(_anchored(node, line, self._chain.guess[node], self._cauchy))
+        optimizer = gtsam.LevenbergMarquardtOptimizer(with_lines, _values(self._chain.guess))
         values = optimizer.optimize()
-        error = optimizer.error()
-        if not np.isfinite(error):
+        if not np.isfinite(optimizer.error()):
             raise ValueError("the graph's error is not finite: a factor holds a value that is not")
-        for _ in range(_MAX_STEPS if self._free.any() else 0):
+        error = self._error(graph, values, calibration)
+        for _ in range(_MAX_STEPS if self._free.any() or self._lines else 0):
             step = self._linear(graph, values, calibration).optimize()
-            calibration[self._free] += step.at(self._count)
+            if self._free.any():
+                calibration[self._free] += step.at(self._count)
             values = values.retract(_poses_only(step, self._count))
             graph = self._graph(calibration)
-            prior = 0.5 * float(np.sum((calibration[self._free] * self._prior_weights) ** 2))
-            before, error = error, graph.error(values) + prior
+            before, error = error, self._error(graph, values, calibration)
             if abs(before - error) <= _CONVERGED * error:
                 break
         tree = self._linear(graph, values, calibration).eliminateMultifrontal()
-        solved = [values.atPose2(k) for k in range(self._count)]
         return Solution(
-            np.array([[pose.x(), pose.y(), pose.theta()] for pose in solved]),
+            np.array([_pose(values, k) for k in range(self._count)]),
             np.array([tree.marginalCovariance(k) for k in range(self._count)]),
             OdometryCalibration(*calibration.tolist()),
         )
 
     def _graph(self, calibration: FloatArray) -> gtsam.NonlinearFactorGraph:
-        """The motions first, in the chain's order, then all else."""
+        """The motions first, in the chain's order, then all else that gtsam has a factor for."""
         graph = gtsam.NonlinearFactorGraph()
         moved = se2.retract(self._between, self._by_calibration @ calibration)
         for k, (pose, noise) in enumerate(zip(moved.tolist(), self._motion_noise, strict=True)):
@@ -93,68 +97,94 @@ class _Problem:
         graph.push_back(self._unary)
         return graph
 
+    def _error(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, calibration: FloatArray) -> float:
+        prior = 0.5 * float(np.sum((calibration[self._free] * self._prior_weights) ** 2))
+        squares = np.array([np.sum(_whitened(line, _pose(values, node))[0] ** 2) for node, line in self._lines])
+        lines = 0.5 * self._cauchy**2 * float(np.sum(np.log1p(squares / self._cauchy**2)))
+        return float(graph.error(values)) + prior + lines
+
     def _linear(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, calibration: FloatArray
     ) -> gtsam.GaussianFactorGraph:
-        """Linearised at the values, with columns for the free calibration in the motions and a prior on it."""
+        """Linearised at the values, with the lines, columns for the free calibration in the motions, a prior on it."""
         linear = graph.linearize(values)
-        if not self._free.any():
-            return linear
+        motions = len(self._between)
         out = gtsam.GaussianFactorGraph()
-        unit = gtsam.noiseModel.Unit.Create(3)
-        for k, column in enumerate(self._columns):
-            whitened = linear.at(k).augmentedJacobian()
-            out.add(
-                gtsam.JacobianFactor(
-                    k, whitened[:, :3], k + 1, whitened[:, 3:6], self._count, column, whitened[:, 6], unit
-                )
-            )
-        for i in range(len(self._columns), linear.size()):
+        if self._free.any():
+            whitened = np.array([linear.at(k).augmentedJacobian() for k in range(motions)]).reshape(-1, 3, 7)
+            unit = gtsam.noiseModel.Unit.Create(3)
+            for k, (row, column) in enumerate(zip(whitened, self._columns(whitened, calibration), strict=True)):
+                out.add(gtsam.JacobianFactor(k, row[:, :3], k + 1, row[:, 3:6], self._count, column, row[:, 6], unit))
+            towards_zero = -calibration[self._free] * self._prior_weights
+            unit = gtsam.noiseModel.Unit.Create(len(self._prior_weights))
+            out.add(gtsam.JacobianFactor(self._count, np.diag(self._prior_weights), towards_zero, unit))
+        for i in range(motions if self._free.any() else 0, linear.size()):
             out.add(linear.at(i))
-        unit = gtsam.noiseModel.Unit.Create(len(self._prior_weights))
-        towards_zero = -calibration[self._free] * self._prior_weights
-        out.add(gtsam.JacobianFactor(self._count, np.diag(self._prior_weights), towards_zero, unit))
+        unit = gtsam.noiseModel.Unit.Create(2)
+        for node, line in self._lines:
+            residual, jacobian = _whitened(line, _pose(values, node))
+            weight = 1.0 / np.sqrt(1.0 + residual @ residual / self._cauchy**2)
+            out.add(gtsam.JacobianFactor(node, weight * jacobian, -weight * residual, unit))
         return out
 
+    def _columns(self, whitened: FloatArray, calibration: FloatArray) -> FloatArray:
+        """(n - 1, 3, free) derivative of the motions' whitened errors by the calibration.
 
-def _unary(chain: Chain, config: Graph) -> gtsam.NonlinearFactorGraph:
+        whitened: (n - 1, 3, 7) of the motions, its last column their errors, negative.
+        """
+        error = np.asarray(np.linalg.solve(self._roots, -whitened[:, :, 6:]))[..., 0]
+        moved = se2.right_jacobian(self._by_calibration @ calibration) @ self._by_calibration[:, :, self._free]
+        # the prediction is on the error's left side
+        return np.asarray(-self._roots @ se2.right_jacobian_inverse(-error) @ moved)
+
+
+def _unary(chain: Chain, cauchy: float) -> gtsam.NonlinearFactorGraph:
+    """All factors but the lines, in gtsam's own terms, which have their errors up to sign."""
     graph = gtsam.NonlinearFactorGraph()
     weak = gtsam.noiseModel.Diagonal.Sigmas(_WEAK_SIGMAS)
     graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*chain.guess[0]), weak))
     for node, factor in chain.factors:
-        _add_native(graph, node, factor, chain.guess[node], config.cauchy)
+        match factor:
+            case PoseFactor():
+                noise = _robust(gtsam.noiseModel.Gaussian.Covariance(factor.covariance), cauchy)
+                graph.add(gtsam.PriorFactorPose2(node, gtsam.Pose2(*factor.pose), noise))
+            case LandmarkFactor():
+                noise = _robust(gtsam.noiseModel.Gaussian.Covariance(factor.covariance), cauchy)
+                graph.add(gtsam.KnownLandmarkFactorPose2(node, factor.landmark, factor.seen, noise))
+            case HeadingFactor():
+                noise = _robust(gtsam.noiseModel.Gaussian.Covariance(factor.covariance), cauchy)
+                graph.add(gtsam.PoseRotationPrior2D(node, gtsam.Rot2(factor.heading_rad), noise))
+            case LineFactor():
+                pass
+            case _:
+                raise TypeError(f"no native factor for {type(factor).__name__}")
     return graph
 
 
-def _add_native(graph: gtsam.NonlinearFactorGraph, node: int, factor: Factor, guess: FloatArray, cauchy: float) -> None:
-    """The factor in gtsam's own terms, which have its error up to sign."""
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(cauchy)
+def _anchored(node: int, line: LineFactor, guess: FloatArray, cauchy: float) -> gtsam.NonlinearFactor:
+    """A pose that is free along the line, anchored where the guess is: nearly the line as long as that way is short."""
+    along = line.normal_rad + 0.5 * np.pi
+    free = guess[0] * np.cos(along) + guess[1] * np.sin(along)
+    anchor = se2.apply(np.array([0.0, 0.0, line.normal_rad]), np.array([line.offset_m, free]))
+    pose = np.array([*anchor, line.heading_rad])
+    root = np.vstack([_whitened(line, pose)[1], np.zeros(3)])
+    noise = _robust(gtsam.noiseModel.Gaussian.SqrtInformation(root, False), cauchy)
+    return gtsam.PriorFactorPose2(node, gtsam.Pose2(*pose.tolist()), noise)
 
-    def robust(base: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
-        return gtsam.noiseModel.Robust.Create(kernel, base)
 
-    match factor:
-        case PoseFactor():
-            noise = robust(gtsam.noiseModel.Gaussian.Covariance(factor.covariance))
-            graph.add(gtsam.PriorFactorPose2(node, gtsam.Pose2(*factor.pose), noise))
-        case LandmarkFactor():
-            noise = robust(gtsam.noiseModel.Gaussian.Covariance(factor.covariance))
-            graph.add(gtsam.KnownLandmarkFactorPose2(node, factor.landmark, factor.seen, noise))
-        case HeadingFactor():
-            noise = robust(gtsam.noiseModel.Gaussian.Covariance(factor.covariance))
-            graph.add(gtsam.PoseRotationPrior2D(node, gtsam.Rot2(factor.heading_rad), noise))
-        case LineFactor():
-            # a pose that is free along the line: anchored where the guess is, so that the free way is short
-            along = factor.normal_rad + 0.5 * np.pi
-            free = guess[0] * np.cos(along) + guess[1] * np.sin(along)
-            anchor = se2.apply(np.array([0.0, 0.0, factor.normal_rad]), np.array([factor.offset_m, free]))
-            jacobian = factor.jacobian(np.array([*anchor, factor.heading_rad]))
-            whitener = np.linalg.inv(np.linalg.cholesky(factor.covariance))
-            root = np.vstack([whitener @ jacobian, np.zeros(3)])
-            noise = robust(gtsam.noiseModel.Gaussian.SqrtInformation(root, False))
-            graph.add(gtsam.PriorFactorPose2(node, gtsam.Pose2(anchor[0], anchor[1], factor.heading_rad), noise))
-        case _:
-            raise TypeError(f"no native factor for {type(factor).__name__}")
+def _whitened(factor: Factor, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The factor's error (m,) and Jacobian (m, 3) at a pose, in its own sigmas."""
+    whitener = np.linalg.inv(np.linalg.cholesky(factor.covariance))
+    return whitener @ factor.error(pose), whitener @ factor.jacobian(pose)
+
+
+def _robust(base: gtsam.noiseModel.Base, cauchy: float) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(cauchy), base)
+
+
+def _pose(values: gtsam.Values, key: int) -> FloatArray:
+    pose = values.atPose2(key)
+    return np.array([pose.x(), pose.y(), pose.theta()])
 
 
 def _values(poses: FloatArray) -> gtsam.Values:

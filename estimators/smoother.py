@@ -24,11 +24,10 @@ class Smoother:
 
     def start(self, estimate: Estimate) -> None:
         self._ahead.start(estimate)
-        self._record(estimate.stamp_ns)
-        told = PoseFactor(
-            estimate.stamp_ns, estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2])
-        )
-        self._recorder.add(told, estimate.stamp_ns, estimate.pose)
+        self._recorder = ChainRecorder(self._config.graph.node_interval_s)
+        at_ns = self._record(estimate.stamp_ns)
+        told = PoseFactor(at_ns, estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
+        self._recorder.add(told, at_ns, estimate.pose)
 
     def predict(self, odometry: Odometry) -> None:
         self._ahead.predict(odometry)
@@ -41,9 +40,9 @@ class Smoother:
 
     def update(self, factor: Factor) -> Innovation | None:
         innovation = self._ahead.update(factor)
-        self._record(factor.stamp_ns)
+        at_ns = self._record(factor.stamp_ns)
         now = self.estimate()
-        self._recorder.add(factor, factor.stamp_ns, None if now is None else now.pose)
+        self._recorder.add(factor, at_ns, None if now is None else now.pose)
         return innovation
 
     def estimate(self) -> Estimate | None:
@@ -51,13 +50,17 @@ class Smoother:
 
     def trajectory(self) -> tuple[Estimate, ...]:
         """An estimate per node of the chain; none while the EKF has found no start."""
-        chain = self._recorder.chain()
+        chain = self._recorder.chain(self._ahead.carried_ns)
         if chain is None:
             return ()
         self.solution = solve(chain, self._config)
         covariances = se2.rotate_covariance(self.solution.covariances, self.solution.poses[:, 2])
         return tuple(map(Estimate, chain.stamps_ns, self.solution.poses, covariances))
 
-    def _record(self, stamp_ns: int) -> None:
+    def _record(self, stamp_ns: int) -> int:
+        """Up to the stamp; the stamp that is reached, later than a stamp that runs backwards."""
+        motion = self._motion.advance(stamp_ns)
+        at_ns = stamp_ns if self._motion.stamp_ns is None else self._motion.stamp_ns
         now = self.estimate()
-        self._recorder.advance(stamp_ns, self._motion.advance(stamp_ns), None if now is None else now.pose)
+        self._recorder.advance(at_ns, motion, None if now is None else now.pose)
+        return at_ns

@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from walks import FIELD, PLAIN, TAKEN_AT_ITS_WORD, feed, nees, ns, scan, velocities, walk
+from walks import FIELD, TAKEN_AT_ITS_WORD, feed, nees, ns, scan, velocities, walk
 
 from estimators.base import Estimate
-from estimators.config import Config, MotionNoise, Robust
+from estimators.config import Calibration, Config, MotionNoise, Robust
 from estimators.ekf import Ekf
+from estimators.motion import OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.factor_builder import FactorBuilder
 from fieldloc.factors import Factor, LandmarkFactor, LineFactor, PoseFactor
@@ -102,18 +103,20 @@ def test_a_factor_that_disagrees_is_widened_until_it_is_at_the_limit() -> None:
     assert estimate.covariance[0, 0] == pytest.approx(0.01 * (50.0 / 12.0) / (1.0 + 50.0 / 12.0))
 
 
-@pytest.mark.parametrize("at_s", [10.0, 5.5])
-def test_the_errors_of_many_walks_are_as_large_as_the_filter_says(at_s: float) -> None:
+@pytest.mark.parametrize("calibration", [TAKEN_AT_ITS_WORD, Calibration()], ids=["plain", "calibrated"])
+@pytest.mark.parametrize("at_s", [pytest.param(10.0, marks=pytest.mark.slow), 5.5])
+def test_the_errors_of_many_walks_are_as_large_as_the_filter_says(at_s: float, calibration: Calibration) -> None:
     walks, steps = 80, round(10 * at_s)
     random = np.random.default_rng(7)
     start_sigma = np.array([0.2, 0.1, 0.1])
     first = np.array([0.5, -0.5, 1.0])
     starts = se2.retract(first, start_sigma * random.standard_normal((walks, 3)))
     commands = velocities(steps)
-    truth = walk(starts, commands, 0.1, random)
+    real = random.normal(0.0, calibration.sigmas(), (walks, 6))
+    truth = walk(starts, commands, 0.1, random, calibration=OdometryCalibration(*real.T))
     total = 0.0
     for i in range(walks):
-        ekf, builder = Ekf(PLAIN), FactorBuilder(FIELD, correlation=ALL_NEWS)
+        ekf, builder = Ekf(Config(calibration=calibration)), FactorBuilder(FIELD, correlation=ALL_NEWS)
         ekf.start(Estimate(0, first, se2.rotate_covariance(np.diag(start_sigma**2), first[2])))
         for k, command in enumerate(commands):
             ekf.predict(Odometry(ns(0.1 * k), command))

@@ -92,16 +92,18 @@ def density(velocity: FloatArray, noise: MotionNoise) -> FloatArray:
 
 
 def calibrated(velocity: FloatArray, calibration: OdometryCalibration) -> FloatArray:
-    """How the robot really moves when its odometry says `velocity`, from the words of OdometryCalibration."""
+    """How the robot really moves when its odometry says `velocity` (3,), from the words of OdometryCalibration.
+
+    Its numbers may be arrays, of one robot each.
+    """
     forward, left, turn = velocity
     c = calibration
-    return np.array(
-        [
-            forward * (1.0 + c.scale) - left * c.crab_rad + c.drift_mps,
-            left * (1.0 + c.scale) + forward * c.crab_rad,
-            turn * (1.0 + c.turn_scale) + forward * c.veer_rad_per_m + c.turn_drift_radps,
-        ]
-    )
+    moved = [
+        forward * (1.0 + c.scale) - left * c.crab_rad + c.drift_mps,
+        left * (1.0 + c.scale) + forward * c.crab_rad,
+        turn * (1.0 + c.turn_scale) + forward * c.veer_rad_per_m + c.turn_drift_radps,
+    ]
+    return np.stack(np.broadcast_arrays(*moved), axis=-1)
 
 
 def walk(
