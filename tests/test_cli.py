@@ -602,6 +602,48 @@ def test_an_estimate_that_is_not_finite_is_one_line_with_its_stamp_and_no_file(
     assert listing(here) == []
 
 
+# -- import ------------------------------------------------------------------------------------------------------------
+
+DATA_SET = {
+    "Barcodes.dat": "1 5\n6 63\n7 25\n",
+    "Landmark_Groundtruth.dat": "6 2.0 0.0 0.0001 0.0001\n7 0.0 4.0 0.0001 0.0001\n",
+    "Robot1_Odometry.dat": "1248444187.156 0.1 0.0\n1248444187.256 0.1 0.0\n",
+    "Robot1_Measurement.dat": "1248444187.2 63 2.0 0.0\n1248444187.2 25 4.0 1.57\n1248444187.3 99 1.0 0.0\n",
+    "Robot1_Groundtruth.dat": "1248444187.156 0.0 0.0 0.0\n",
+}
+
+
+@pytest.mark.parametrize(
+    ("options", "labels", "ranges_m"),
+    [
+        ([], ("6", "7"), [2.0, 4.0]),
+        (["--anonymous"], (None, None), [2.0, 4.0]),
+        (["--max-range-m", "3"], ("6",), [2.0]),
+        (["--anonymous", "--max-range-m", "3"], (None,), [2.0]),
+    ],
+)
+def test_import_cuts_as_it_is_told_and_counts_what_it_leaves_out(
+    call: Call, here: Path, tmp_path: Path, options: list[str], labels: tuple[str | None, ...], ranges_m: list[float]
+) -> None:
+    for name, text in DATA_SET.items():
+        (tmp_path / name).write_text(text)
+    said = call("import", "utias", tmp_path, "--robot", "1", *options)
+    assert said.code == 0
+    assert said.lines == ["fieldloc: warning: 1 observation left out: barcode 99 not in Barcodes.dat"]
+    assert said.out == "utias-robot1.mcap: 1 /field, 2 /landmarks, 2 /odometry, 1 /truth\n"
+    first = next(LogFile(here / "utias-robot1.mcap").records(LandmarkScan))
+    assert (first.labels, first.range_bearing[:, 0].tolist()) == (labels, ranges_m)
+    assert first.stamp_ns == 1_248_444_187_200_000_000
+
+
+def test_a_robot_that_is_not_in_the_data_set_is_one_line(call: Call, here: Path, tmp_path: Path) -> None:
+    for name, text in DATA_SET.items():
+        (tmp_path / name).write_text(text)
+    said = call("import", "utias", tmp_path, "--robot", "6")
+    assert (said.code, said.out, said.err) == (1, "", f"fieldloc: {tmp_path}: there is no robot 6, only 1\n")
+    assert listing(here) == []
+
+
 # -- compare -----------------------------------------------------------------------------------------------------------
 
 
@@ -660,6 +702,17 @@ def test_compare_without_a_log_takes_the_sample(call: Call, made: Path, monkeypa
     assert said.out.startswith("no log given: the sample that ships with fieldloc")
 
 
+def test_compare_starts_where_it_is_told_and_with_the_settings_it_is_given(call: Call, made: Path, here: Path) -> None:
+    errors = []
+    for options in ([], ["--set", "correlation.range_s=0", "--set", "correlation.bearing_s=0"]):
+        said = call("compare", made / "lonely.mcap", "--estimators", "ekf", "--start", "3.02,0.07,-166.7", *options)
+        assert (said.code, said.err) == (0, "")
+        runs = json.loads((here / "runs" / "compare" / "metrics.json").read_text())["logs"][0]["estimators"]
+        errors.append(runs["ekf"]["ate_rmse_m"])
+    assert max(errors) < 0.5
+    assert errors[0] != errors[1]
+
+
 @pytest.mark.usefixtures("failing")
 def test_compare_outlives_an_estimator_that_fails(call: Call, made: Path, here: Path) -> None:
     said = call("compare", made / "good.mcap", "--estimators", "dead-reckoning,ekf", "-o", "out")
@@ -699,6 +752,16 @@ def test_evaluate_of_another_recording_says_both_times(call: Call, made: Path, t
     assert (said.code, said.out, len(said.lines)) == (1, "", 1)
     assert "0.000 to 8.000 s" in said.err
     assert "1000000000.000" in said.err
+
+
+def test_stamps_are_paired_as_close_as_told(call: Call, tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for stamp_ns, pose in ((0, np.zeros(3)), (10**9, np.ones(3))):
+            log.write("/truth", Truth(stamp_ns, pose))
+            log.write("/estimate", Estimate(stamp_ns + 20_000_000, pose, np.eye(3)))
+    both = ("evaluate", tmp_path / "log.mcap", "--truth", tmp_path / "log.mcap")
+    assert "within 0.01 s" in call(*both).err
+    assert json.loads(call(*both, "--max-difference-s", "0.03", "--json").out)["matched_poses"] == 2
 
 
 def test_export_writes_seconds_as_the_log_has_them(call: Call, tmp_path: Path, here: Path) -> None:
@@ -799,6 +862,11 @@ def test_an_interrupt_at_any_moment_leaves_no_file(
 # -- as a program ------------------------------------------------------------------------------------------------------
 
 
+def environment() -> dict[str, str]:
+    """Output is buffered, whatever this process does."""
+    return {**{key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}, "PYTHONPATH": str(ROOT)}
+
+
 def start(arguments: Sequence[object], here: Path, **options: object) -> "subprocess.Popen[str]":
     command = [
         sys.executable,
@@ -806,9 +874,8 @@ def start(arguments: Sequence[object], here: Path, **options: object) -> "subpro
         "import sys; from fieldloc.cli import main; sys.exit(main())",
         *map(str, arguments),
     ]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
-    return subprocess.Popen(command, cwd=here, env=environment, text=True, **streams)  # type: ignore[call-overload,no-any-return]
+    return subprocess.Popen(command, cwd=here, env=environment(), text=True, **streams)  # type: ignore[call-overload,no-any-return]
 
 
 def run(*arguments: object, here: Path, **options: object) -> Said:
@@ -841,9 +908,8 @@ def test_output_that_cannot_be_written_is_one_line(made: Path, here: Path) -> No
 
 def test_help_comes_at_once_because_nothing_heavy_is_imported(here: Path) -> None:
     code = "import sys, fieldloc.cli\ntry: fieldloc.cli.main(['--help'])\nexcept SystemExit: print(*sys.modules)"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=here, env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], cwd=here, env=environment(), capture_output=True, text=True, check=True
     )
     modules = set(done.stdout.splitlines()[-1].split())
     assert "fieldloc.cli" in modules

@@ -1,4 +1,5 @@
 import io
+import threading
 import time
 
 import pytest
@@ -47,13 +48,13 @@ def test_the_line_is_gone_in_the_end_also_after_an_error(terminal: Terminal) -> 
     with pytest.raises(ValueError):
         fail()
     assert terminal.getvalue().rpartition("\r")[0].rstrip(" ").endswith("\r")  # blanks over it
-    assert not shown_more(terminal)
 
 
-def shown_more(terminal: Terminal) -> bool:
-    before = terminal.getvalue()
-    time.sleep(0.02)
-    return terminal.getvalue() != before
+def test_nothing_goes_on_drawing_after_the_end(terminal: Terminal) -> None:
+    before = threading.active_count()
+    with watch("robot", terminal):
+        assert shown(terminal, "robot 00:0")
+    assert threading.active_count() == before
 
 
 def test_short_work_shows_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:

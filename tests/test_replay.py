@@ -17,6 +17,7 @@ from fieldloc.factors import Factor, HeadingFactor, PoseFactor
 from fieldloc.field import FieldMap, Landmark, load_field
 from fieldloc.measurements import Compass, InitialPose, LandmarkScan, Odometry, Truth
 from fieldloc.pose import FloatArray
+from fieldloc.repetition import ErrorCorrelation
 from logs.reader import LogFile
 from logs.replay import Recording, Replay, load_recording, replay
 from logs.schema import Record, topic_of
@@ -167,6 +168,13 @@ def test_a_measurement_is_late_only_beside_those_of_its_own_topic(tmp_path: Path
     records = [odometry(30 * SECOND), scan(10 * SECOND), odometry(31 * SECOND), scan(11 * SECOND)]
     log = log_of(tmp_path / "log.mcap", records, [30 * SECOND, 30 * SECOND, 31 * SECOND, 31 * SECOND])
     assert load_recording(log).warnings == ()
+
+
+def test_time_goes_on_also_where_nothing_is_seen(tmp_path: Path) -> None:
+    records = [told(0), odometry(0, 1.0), scan(SECOND, labels=[])]
+    done = replay(load_recording(log_of(tmp_path / "log.mcap", records)), Ekf(Config()))
+    assert [e.stamp_ns for e in done.estimates] == [0, SECOND]
+    assert done.estimates[-1].pose == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
 
 
 def test_the_duration_is_that_of_the_stamps(tmp_path: Path) -> None:
@@ -330,6 +338,12 @@ def test_a_smoother_that_cannot_solve_says_so(tmp_path: Path) -> None:
     recording = load_recording(log_of(tmp_path / "log.mcap", [odometry(0), scan(0)]))
     with pytest.raises(FieldlocError, match=r"^log: BrokenSmoother failed solving: no solution$"):
         replay(recording, BrokenSmoother(Config()))
+
+
+def test_how_long_errors_stay_alike_decides_what_a_second_sight_is_worth() -> None:
+    sure, unsure = (replay(drive(), Ekf(Config()), correlation=ErrorCorrelation(s, s, s)) for s in (0.0, 10.0))
+    for one, other in zip(sure.estimates[4:], unsure.estimates[4:], strict=True):
+        assert np.linalg.det(one.covariance) < 0.1 * np.linalg.det(other.covariance)
 
 
 # -- what comes out ----------------------------------------------------------------------------------------------------
