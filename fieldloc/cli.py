@@ -1,6 +1,7 @@
 """The command line: the one file that sees every room, prints and exits."""
 
 import argparse
+import io
 import json
 import os
 import signal
@@ -13,7 +14,7 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import NoReturn, TypeAlias
 
 import numpy as np
 
@@ -29,17 +30,20 @@ _RUNS = Path("runs")
 _ONLINE = ("ekf", "particles", "dead-reckoning")
 _COMPARED = "dead-reckoning,ekf,particles,smooth"
 Command = Callable[[argparse.Namespace], None]
+Subparsers: TypeAlias = "argparse._SubParsersAction[_Parser]"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command: 0 when it worked, 1 with one line on stderr when not, 130 after Ctrl-C and 143 after SIGTERM."""
     if arguments is None and not sys.warnoptions:
-        warnings.simplefilter("ignore")  # what a person should know, our own say
+        warnings.simplefilter("ignore")  # what a person should know is in our own warnings
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a file's name may be what a terminal cannot show
+        sys.stdout.reconfigure(errors="backslashreplace")
+    before = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with _sigterm_as_ctrl_c():
-            options = _parser().parse_args(_with_minus(sys.argv[1:] if arguments is None else arguments))
-            options.command(options)
-            print(end="", flush=True)
+        options = _parser().parse_args(_with_minus(sys.argv[1:] if arguments is None else arguments))
+        options.command(options)
+        print(end="", flush=True)
     except FieldlocError as error:
         return _fail(str(error))
     except KeyboardInterrupt as interrupt:
@@ -51,6 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, BrokenPipeError):  # the reader has seen enough
             return 1
         return _fail(f"{error.filename or 'output'}: {error.strerror or error}")
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return 0
 
 
@@ -92,7 +98,11 @@ def _localize(options: argparse.Namespace) -> None:
     with _warning(log), _bar(options, name) as progress:
         recording = load_recording(log, field, progress)
         done = replay(recording, ALL[name](config), options.start, config.correlation, progress)
-        metadata = {"estimator": name, "log": options.log.name, "config": json.dumps(asdict(config))}
+        metadata = {
+            "estimator": name,
+            "log": os.fsencode(options.log.name).decode(errors="replace"),
+            "config": json.dumps(asdict(config)),
+        }
         write_estimates(out, recording, done, metadata, progress)
     _warn((*recording.warnings, *done.warnings))
     _say(options, f"{out}: {len(done.estimates)} estimates of {name} in {done.total_s:.1f} s")
@@ -184,16 +194,8 @@ def _say(options: argparse.Namespace, text: str) -> None:
         print(text)
 
 
-@contextmanager
-def _sigterm_as_ctrl_c() -> Iterator[None]:
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt(number)
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt(number)
 
 
 def _bar(options: argparse.Namespace, what: str) -> AbstractContextManager[Progress]:
@@ -247,54 +249,51 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     examples: dict[str, None] = {}
 
-    def add(among: "argparse._SubParsersAction[_Parser]", name: str, run: Command, what: str, example: str) -> _Parser:
-        examples[example] = None
-        sub = among.add_parser(name, help=what, description=f"{what}.", epilog=f"example: {example}", parents=[common])
+    def add(name: str, run: Command, what: str, example: str, to: Subparsers = commands) -> _Parser:
+        examples[f"fieldloc {example}"] = None
+        epilog = f"example: fieldloc {example}"
+        sub = to.add_parser(name, help=what, description=f"{what}.", epilog=epilog, parents=[common])
         sub.set_defaults(command=run)
         return sub
 
-    woods = "fieldloc import woods dataset2.mat -o woods.mcap"
-    sub = add(commands, "import", _import, "A data set to a log", woods)
+    woods = "import woods dataset2.mat -o woods.mcap"
+    sub = add("import", _import, "A data set to a log", woods)
     sources = sub.add_subparsers(dest="source", metavar="SOURCE", required=True)
-    sub = add(sources, "woods", _import, "The 'lost in the woods' MATLAB file to a log", woods)
+    sub = add("woods", _import, "The 'lost in the woods' MATLAB file to a log", woods, sources)
     sub.add_argument("path", type=Path, metavar="FILE.mat")
     _add_import_options(sub, "FILE.mcap")
-    utias = "fieldloc import utias MRCLAM_Dataset6.tar.gz --robot 3"
-    sub = add(sources, "utias", _import, "One robot of a UTIAS MRCLAM data set to a log", utias)
+    utias = "import utias MRCLAM_Dataset6.tar.gz --robot 3"
+    sub = add("utias", _import, "One robot of a UTIAS MRCLAM data set to a log", utias, sources)
     sub.add_argument("path", type=Path, metavar="DIR", help="the data set's folder, or its .tar.gz or .zip")
     sub.add_argument("--robot", type=int, required=True, metavar="K", help="1 to 5")
     _add_import_options(sub, "utias-robotK.mcap")
 
-    sub = add(commands, "info", _info, "What is in a log", "fieldloc info woods.mcap")
+    sub = add("info", _info, "What is in a log", "info woods.mcap")
     sub.add_argument("log", type=Path, metavar="LOG")
 
-    run = "fieldloc run woods.mcap --estimator ekf"
-    sub = add(commands, "run", _localize, "A log through an online estimator", run)
+    sub = add("run", _localize, "A log through an online estimator", "run woods.mcap --estimator ekf")
     sub.add_argument("log", type=Path, metavar="LOG")
     _add_estimation_options(sub, "OUT.mcap", "runs/LOG-ESTIMATOR.mcap")
     sub.add_argument("--estimator", choices=_ONLINE, default=_ONLINE[0], help="default: %(default)s")
 
-    smooth = "fieldloc smooth woods.mcap -o best.mcap"
-    sub = add(commands, "smooth", _localize, "The best trajectory, in hindsight", smooth)
+    sub = add("smooth", _localize, "The best trajectory, in hindsight", "smooth woods.mcap -o best.mcap")
     sub.add_argument("log", type=Path, metavar="LOG")
     _add_estimation_options(sub, "OUT.mcap", "runs/LOG-smooth.mcap")
     sub.set_defaults(estimator="smooth")
 
-    compare = "fieldloc compare woods.mcap --estimators ekf,smooth"
-    sub = add(commands, "compare", _compare, "Estimators on the same logs: table, pictures, report", compare)
+    sub = add("compare", _compare, "Estimators side by side: a report", "compare woods.mcap --estimators ekf,smooth")
     sub.add_argument("logs", type=Path, nargs="*", metavar="LOG", help="the sample log if none is given")
     sub.add_argument("--estimators", default=_COMPARED, metavar="A,B,...", help="default: %(default)s")
     _add_estimation_options(sub, "DIR", "runs/compare")
 
-    evaluate = "fieldloc evaluate best.mcap --truth woods.mcap"
-    sub = add(commands, "evaluate", _evaluate, "Estimates against truth", evaluate)
+    sub = add("evaluate", _evaluate, "Estimates against truth", "evaluate best.mcap --truth woods.mcap")
     sub.add_argument("estimates", type=Path, metavar="OUT.mcap")
     sub.add_argument("--truth", type=Path, required=True, metavar="LOG", help="the log with the truth")
     sub.add_argument("--json", action="store_true", help="all numbers, see docs/metrics.md")
     apart = "pair stamps this close; default: %(default)s"
     sub.add_argument("--max-difference-s", type=_positive, default=0.01, metavar="S", help=apart)
 
-    sub = add(commands, "export", _export, "Estimates as text", "fieldloc export best.mcap --format tum")
+    sub = add("export", _export, "Estimates as text", "export best.mcap --format tum")
     sub.add_argument("log", type=Path, metavar="OUT.mcap")
     sub.add_argument("--format", choices=("tum", "csv"), required=True)
     sub.add_argument("--truth", action="store_true", help="the log's truth instead of its estimates")

@@ -1,5 +1,6 @@
 """A log through an estimator: the loop that the robot runs, with a file as the source."""
 
+import os
 import time
 from dataclasses import dataclass
 
@@ -93,7 +94,7 @@ def load_recording(log: LogFile, field: FieldMap | None = None, progress: Progre
     if any(camera != cameras[0] for camera in cameras):
         warnings.append(f"{log.roles['camera']} changes on the way: the first one is taken for all images")
     return Recording(
-        log.path.stem,
+        os.fsencode(log.path.stem).decode(errors="replace"),  # some file names are no text
         field,
         cameras[0] if cameras else None,
         tuple(measurements),

@@ -874,8 +874,8 @@ def start(arguments: Sequence[object], here: Path, **options: object) -> "subpro
         "import sys; from fieldloc.cli import main; sys.exit(main())",
         *map(str, arguments),
     ]
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
-    return subprocess.Popen(command, cwd=here, env=environment(), text=True, **streams)  # type: ignore[call-overload,no-any-return]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment(), **options}
+    return subprocess.Popen(command, cwd=here, text=True, **streams)  # type: ignore[call-overload,no-any-return]
 
 
 def run(*arguments: object, here: Path, **options: object) -> Said:
@@ -904,6 +904,18 @@ def test_output_that_cannot_be_written_is_one_line(made: Path, here: Path) -> No
     with open("/dev/full", "w") as full:
         said = run("info", made / "good.mcap", here=here, stdout=full)
     assert (said.code, said.err) == (1, "fieldloc: output: No space left on device\n")
+
+
+def test_names_that_are_no_text_or_that_a_terminal_cannot_show_are_no_error(made: Path, here: Path) -> None:
+    odd = here / os.fsdecode(b"r\xc3\xbcbe\xff.mcap")
+    odd.write_bytes((made / "good.mcap").read_bytes())
+    for encoding in ("ascii", "utf-8"):
+        said = run("info", odd, here=here, env={**environment(), "PYTHONIOENCODING": encoding})
+        assert (said.code, said.err) == (0, "")
+        assert "/odometry" in said.out
+    assert main(["run", str(odd), "-o", str(here / "out.mcap")]) == 0
+    assert LogFile(here / "out.mcap").metadata["fieldloc"]["log"] == "rübe\ufffd.mcap"
+    assert main(["compare", str(odd), "--estimators", "ekf", "-o", str(here / "out")]) == 0
 
 
 def test_help_comes_at_once_because_nothing_heavy_is_imported(here: Path) -> None:
