@@ -9,14 +9,18 @@ from estimators.config import Config
 from estimators.divergence import Restart
 from estimators.motion import STANDSTILL, HeldVelocity, Increment
 from fieldloc import pose as se2
-from fieldloc.covariance import squared_mahalanobis
+from fieldloc.covariance import propagate, squared_mahalanobis
 from fieldloc.factors import Factor, PoseFactor, innovation_covariance
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
 
 _LOG_RATIO_FLOOR = -60.0  # exp of it is nothing beside the outlier share
 
-_MIN_ALIVE = 0.1  # expected share of particles that a factor, or a part of it, leaves with weight
+# shares of the particles that still have weight (effective sample size):
+_RESAMPLE_BELOW = 0.5
+_MIN_ALIVE = 0.1  # a factor that would leave fewer comes in parts
+_SMALLEST_PART = 1e-9
+_MOST_PARTS = 50
 _JITTER = 0.3  # of the cloud's own spread, at each resampling
 
 
@@ -61,11 +65,15 @@ class ParticleFilter:
         residual = factor.error(self._mean)
         _, expected = innovation_covariance(factor, self._mean, self._covariance)
         nis = float(squared_mahalanobis(residual, expected))
-        disagrees = nis > self._config.robust.nis_per_dof * len(residual)
-        if (elsewhere := self._restart.consider(factor, disagrees)) is not None:
+        weight = min(1.0, self._config.robust.nis_per_dof * len(residual) / max(nis, 1e-300))
+        if (elsewhere := self._restart.consider(factor, disagrees=weight < 1.0)) is not None:
             self._scatter(elsewhere.pose, elsewhere.covariance)
             return Innovation(factor.stamp_ns, residual, expected, nis, 0.0)
-        return Innovation(factor.stamp_ns, residual, expected, nis, self._weigh(factor))
+        if weight < 1.0:
+            self._weigh(factor, factor.covariance / weight, outlier_share=0.0)  # it is taken for an outlier already
+        else:
+            weight = self._weigh(factor, factor.covariance, self._config.particles.outlier_share)
+        return Innovation(factor.stamp_ns, residual, expected, nis, weight)
 
     def estimate(self) -> Estimate | None:
         """Weighted mean and covariance of the cloud."""
@@ -83,27 +91,30 @@ class ParticleFilter:
         self._restart.forget()
         self._summarise()
 
-    def _weigh(self, factor: Factor) -> float:
-        """Weigh the particles by the factor, and return how far it was taken for an inlier.
+    def _weigh(self, factor: Factor, covariance: FloatArray, outlier_share: float) -> float:
+        """Weigh the particles by the factor's error of that covariance; how far it was taken for an inlier.
 
         A factor so sharp that it would leave hardly a particle alive comes in parts, each of a wider covariance, and
         the cloud closes in on it (progressive correction, Oudjane & Musso 2000).
         """
         left, share = 1.0, 1.0
-        while left > 0.0 and share > 0.5:
-            _, expected = innovation_covariance(factor, self._mean, self._covariance)
-            part = _bearable(expected - factor.covariance, factor.covariance, left)
-            widened = factor.covariance / part
-            likelihood, inlier = self._likelihood(
-                factor.error(self._poses), widened, expected - factor.covariance + widened
-            )
-            self._weights *= likelihood
-            self._weights /= self._weights.sum()
+        for _ in range(_MOST_PARTS):
+            error, spread = factor.error(self._poses), propagate(factor.jacobian(self._mean), self._covariance)
+            part, alive = 2.0 * _bearable(spread, covariance, left), 0.0
+            while alive < _MIN_ALIVE and part > _SMALLEST_PART:
+                part *= 0.5
+                widened = covariance / part
+                likelihood, inlier = self._likelihood(error, widened, spread + widened, outlier_share)
+                weights = self._weights * likelihood / (self._weights @ likelihood)
+                alive = _alive(weights)
+            self._weights = weights
             share = min(share, float(self._weights @ inlier))
             left -= part
-            if 1.0 / (self._weights @ self._weights) < 0.5 * len(self._weights):
+            if alive < _RESAMPLE_BELOW:
                 self._resample()
             self._summarise()
+            if left <= 0.0 or share <= 0.5:
+                break
         return share
 
     def _resample(self) -> None:
@@ -128,19 +139,18 @@ class ParticleFilter:
         return np.asarray(self._random.standard_normal((count, 3)) @ root.T)
 
     def _likelihood(
-        self, error: FloatArray, covariance: FloatArray, expected: FloatArray
+        self, error: FloatArray, covariance: FloatArray, expected: FloatArray, outlier_share: float
     ) -> tuple[FloatArray, FloatArray]:
         """Of the errors (n, m) of the particles, and the share of it that is not the outliers'.
 
         An outlier's density is that of the innovation at the edge of what the cloud expects: it depends on no units and
         lets no single wrong factor sweep away a cloud that all others agree with.
         """
-        share = self._config.particles.outlier_share
         log_ratio = -0.5 * np.einsum("ni,ij,nj->n", error, np.linalg.inv(covariance), error)
         edge = self._config.robust.nis_per_dof * error.shape[-1]
         log_det = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(expected)[1]
-        inlier = (1.0 - share) * np.exp(np.maximum(log_ratio, _LOG_RATIO_FLOOR))
-        outlier = share * np.exp(-0.5 * edge + 0.5 * log_det)
+        inlier = (1.0 - outlier_share) * np.exp(np.maximum(log_ratio, _LOG_RATIO_FLOOR))
+        outlier = outlier_share * np.exp(-0.5 * edge + 0.5 * log_det)
         return inlier + outlier, inlier / (inlier + outlier)
 
     def _summarise(self) -> None:
@@ -161,9 +171,13 @@ def _bearable(spread: FloatArray, covariance: FloatArray, left: float) -> float:
     """
     ratios = np.linalg.eigvals(np.linalg.solve(covariance, spread)).real
     part = left
-    while np.prod(1.0 + part * ratios) > _MIN_ALIVE**-2:
+    while np.prod(1.0 + part * ratios) > _MIN_ALIVE**-2 and part > _SMALLEST_PART:
         part *= 0.5
     return part
+
+
+def _alive(weights: FloatArray) -> float:
+    return 1.0 / (len(weights) * float(weights @ weights))
 
 
 def _drawn(weights: FloatArray, random: np.random.Generator) -> NDArray[np.int32]:

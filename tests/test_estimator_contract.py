@@ -422,6 +422,26 @@ def test_one_wrong_factor_does_not_wreck_the_estimate(make: Make) -> None:
 
 
 @correcting
+def test_no_number_of_landmarks_is_ignored_for_good(make: Make) -> None:
+    # the estimate is far too sure of a wrong pose; landmarks alone cannot restart it, but they wear the error down
+    wrong = se2.compose(START, np.array([1.0, 0.5, 0.6]))
+    estimator = started(make, wrong, np.diag([0.1, 0.1, 0.05]) ** 2, stamp_s=0.0, config=PLAIN)
+    random = np.random.default_rng(2)
+    noise = np.diag([SIGMA_RANGE_M, SIGMA_BEARING_RAD]) ** 2
+    pose = START
+    for k, velocity in enumerate(velocities(300)):
+        estimator.predict(Odometry(ns(0.1 * k), velocity))
+        if k % 2:
+            landmark = np.array([[2.0, -1.0], [-2.0, 0.0], [1.0, -5.0]])[k % 3]
+            seen = se2.apply(se2.inverse(pose), landmark) + random.multivariate_normal(np.zeros(2), noise)
+            estimator.update(LandmarkFactor(ns(0.1 * k), landmark, seen, noise))
+        pose = se2.compose(pose, se2.exp(0.1 * velocity))
+    estimator.advance(ns(30.0))
+    assert np.hypot(*(now(estimator).pose - pose)[:2]) < 0.2
+    assert abs(se2.wrap(now(estimator).pose[2] - pose[2])) < 0.1
+
+
+@correcting
 def test_a_robot_that_was_carried_is_found_again(make: Make) -> None:
     estimator = make(Config())
     feed(estimator, drive(5.0))
