@@ -40,7 +40,6 @@ class Ekf:
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
-        self.carried_ns = []
         self._believe(estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
 
     def predict(self, odometry: Odometry) -> None:

@@ -1,3 +1,4 @@
+from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
@@ -21,9 +22,12 @@ NOBODY: frozenset[int] = frozenset()
 poses = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-7, 7)).map(np.array)
 
 
-def field_of(positions: FloatArray, survey: FloatArray | None = None) -> FieldMap:
-    survey = np.zeros((2, 2)) if survey is None else survey
-    marks = tuple(Landmark(str(i), position, 0.1, survey) for i, position in enumerate(positions))
+def field_of(positions: FloatArray, surveys: Sequence[FloatArray] | None = None) -> FieldMap:
+    surveys = [np.zeros((2, 2))] * len(positions) if surveys is None else surveys
+    marks = tuple(
+        Landmark(str(i), position, 0.1, survey)
+        for i, (position, survey) in enumerate(zip(positions, surveys, strict=True))
+    )
     return FieldMap("test", np.zeros((0, 2, 2)), np.zeros((0, 3)), marks)
 
 
@@ -89,9 +93,10 @@ def test_a_landmark_in_a_thousand_is_outside_the_gate(off_sigmas: float, found: 
 def test_the_assignment_is_the_likeliest_of_those_that_leave_the_fewest_out(seed: int) -> None:
     random = np.random.default_rng(seed)
     positions = random.uniform(-2, 2, (4, 2)) + np.array([3.0, 0.0])
-    survey = np.diag([0.02, 0.05]) ** 2
-    field = field_of(positions, survey)
-    belief = Belief(np.array([0.1, 0.2, 0.3]), np.diag([0.3, 0.2, 0.15]) ** 2)
+    surveys = [np.diag([scale, 2 * scale]) ** 2 for scale in (0.02, 0.5, 0.1, 0.3)]  # each explains more or less
+    field = field_of(positions, surveys)
+    root = np.array([[0.3, 0.0, 0.0], [0.05, 0.2, 0.0], [0.08, -0.08, 0.1]])
+    belief = Belief(np.array([0.1, 0.2, 0.3]), root @ root.T)
     noise = np.diag([0.1, 0.05]) ** 2
     made = unlabelled(se2.apply(se2.inverse(belief.pose), positions[:3] + random.normal(0, 0.3, (3, 2))), noise)
     seen, covariance = seen_in_robot(made)
@@ -99,7 +104,7 @@ def test_the_assignment_is_the_likeliest_of_those_that_leave_the_fewest_out(seed
     for row in range(3):
         for column in range(4):
             turn = se2.rotation(-belief.pose[2])
-            factor = LandmarkFactor(1, positions[column], seen[row], covariance[row] + turn @ survey @ turn.T)
+            factor = LandmarkFactor(1, positions[column], seen[row], covariance[row] + turn @ surveys[column] @ turn.T)
             _, expected = innovation_covariance(factor, belief.pose, belief.covariance)
             error = factor.error(belief.pose)
             distance = error @ np.linalg.solve(expected, error)
@@ -128,7 +133,7 @@ def test_moving_the_whole_field_changes_no_association(by: FloatArray, seed: int
     points = se2.apply(se2.inverse(pose), positions[:4] + random.normal(0, 0.2, (4, 2)))
     made = unlabelled(points, np.diag([0.1, 0.05]) ** 2)
     covariance = np.diag([0.3, 0.1, 0.1]) ** 2
-    here = associate(made, field_of(positions, survey), Belief(pose, covariance), NOBODY)
+    here = associate(made, field_of(positions, [survey] * 5), Belief(pose, covariance), NOBODY)
     turn = se2.rotation(by[2])
-    there_map = field_of(se2.apply(by, positions), turn @ survey @ turn.T)
+    there_map = field_of(se2.apply(by, positions), [turn @ survey @ turn.T] * 5)
     assert associate(made, there_map, Belief(se2.compose(by, pose), covariance), NOBODY) == here

@@ -85,10 +85,17 @@ def test_a_factor_has_a_node_at_its_own_stamp_and_shares_it_with_others() -> Non
     assert chain.stamps_ns == (0, ns(0.3), ns(0.4))
     assert [node for node, _ in chain.factors] == [1, 1, 2]
     assert [factor.stamp_ns for _, factor in chain.factors] == [ns(0.3), ns(0.3), ns(0.4)]
-    np.testing.assert_array_equal(chain.guess[1], [7.0, 8.0, 0.9])  # what the filter thinks after the factor
     expected = step().then(step()).then(step())
     np.testing.assert_allclose(chain.motions[0].before_from_after, expected.before_from_after, atol=1e-12)
     np.testing.assert_allclose(chain.motions[1].before_from_after, STEP, atol=1e-12)
+
+
+def test_the_guess_is_what_the_filter_thinks_after_a_factor() -> None:
+    recorder = recorded(0.1, 0, steps=3)
+    recorder.add(heading(0.3), ns(0.3), np.array([7.0, 8.0, 0.9]))
+    chain = chain_of(recorder)
+    assert chain.factors[0][0] == 3
+    np.testing.assert_array_equal(chain.guess[3], [7.0, 8.0, 0.9])
 
 
 def test_a_factor_can_be_the_first_thing_of_all() -> None:

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
-from walks import FIELD, POSITIONS, scan
+from walks import FIELD, POSITIONS, ns, scan
 
 from fieldloc import factor_builder
 from fieldloc import pose as se2
@@ -14,6 +16,7 @@ from fieldloc.field import FieldMap, Landmark
 from fieldloc.fixes.landmarks import landmark_fix
 from fieldloc.measurements import Compass, InitialPose, LandmarkScan
 from fieldloc.pose import FloatArray
+from fieldloc.repetition import ErrorCorrelation, inflation
 
 POSE = np.array([0.5, -1.0, 2.5])
 MOUNT = np.array([0.2, -0.1, 0.7])
@@ -109,15 +112,17 @@ def test_a_good_scan_fails_the_check_once_in_ten_thousand() -> None:
 
 
 def test_two_landmarks_that_leave_a_banana_stay_single() -> None:
-    # 12 cm apart at 3 m with 5 cm and 0.03 rad of noise: the heading is open, and the position swings with it
+    # half a metre apart at 3 m with 5 cm of noise each: the position swings with the heading, so the Gaussian is none
     near = FieldMap(
         "pair",
         np.zeros((0, 2, 2)),
         np.zeros((0, 3)),
-        tuple(Landmark(str(i), np.array([3.0, y]), 0.02, np.zeros((2, 2))) for i, y in enumerate((-0.06, 0.06))),
+        tuple(Landmark(str(i), np.array([3.0, y]), 0.02, np.zeros((2, 2))) for i, y in enumerate((-0.25, 0.25))),
     )
-    seen = np.array([[3.0, -0.02], [3.0, 0.02]])
+    seen = np.array([[3.01, -0.083], [3.01, 0.083]])
     made = LandmarkScan(3, ("0", "1"), seen, np.tile(np.diag([0.05, 0.03]) ** 2, (2, 1, 1)))
+    (fix,) = landmark_fix(near.positions, seen, made.covariance)
+    assert fix.nonlinearity > 0.5
     factors = FactorBuilder(near).build(made, None)
     assert [type(factor) for factor in factors] == [LandmarkFactor, LandmarkFactor]
 
@@ -169,3 +174,42 @@ def test_an_initial_pose_keeps_its_covariance_in_field_axes(pose: FloatArray) ->
     assert isinstance(factor, PoseFactor)
     np.testing.assert_array_equal(factor.pose, pose)
     np.testing.assert_allclose(se2.rotate_covariance(factor.covariance, pose[2]), covariance, atol=1e-12)
+
+
+def test_what_alike_errors_leave_of_the_news_is_as_much_as_their_mean_says() -> None:
+    # errors that decay with exp(-t / 2 s), seen every 0.5 s: the mean of many is as uncertain as n / inflation of them
+    rho, count = np.exp(-0.5 / 2.0), 4000
+    random = np.random.default_rng(0)
+    errors = random.standard_normal(2000)
+    total = np.zeros(2000)
+    for _ in range(count):
+        total += errors
+        errors = rho * errors + np.sqrt(1.0 - rho**2) * random.standard_normal(2000)
+    wider = float(inflation(np.array(0.5), 2.0))
+    # standard error of a sampled variance: sqrt(2 / 2000) = 3 %; four of these
+    assert np.var(total / count) * count == pytest.approx(wider, rel=0.13)
+
+
+def test_a_landmark_seen_again_a_moment_later_is_little_news() -> None:
+    correlation = ErrorCorrelation(range_s=2.0, bearing_s=0.5)
+    builder = FactorBuilder(FIELD, correlation=correlation)
+    first = LandmarkScan(0, ("0",), np.array([[2.0, 0.0]]), np.diag([0.1, 0.02])[None] ** 2)
+    again = replace(first, stamp_ns=ns(0.5))
+    other = replace(first, labels=("1",), stamp_ns=ns(0.6))
+    later = replace(first, stamp_ns=ns(60.0))
+    # straight ahead: range along x, bearing across, 2 m away
+    plain = np.array([0.1**2, (2.0 * 0.02) ** 2])
+    wider = [float(inflation(np.array(0.5), tau)) for tau in (2.0, 0.5)]
+    for scan_, expected in ((first, plain), (again, plain * wider), (other, plain), (later, plain)):
+        (factor,) = builder.build(scan_, None)
+        np.testing.assert_allclose(factor.covariance, np.diag(expected), rtol=1e-6, atol=1e-12)
+    (at_once,) = builder.build(later, None)
+    assert np.isfinite(at_once.covariance).all()
+    assert at_once.covariance[0, 0] > 100 * plain[0]
+
+
+def test_with_no_correlation_all_is_news() -> None:
+    builder = FactorBuilder(FIELD, correlation=ErrorCorrelation(0.0, 0.0, 0.0))
+    (first,) = builder.build(everything(), None)
+    (again,) = builder.build(everything(), None)
+    assert_same(first, again)

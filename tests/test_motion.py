@@ -137,6 +137,18 @@ def test_by_calibration_is_the_derivative_of_the_motion(first: FloatArray, secon
 
 @settings(deadline=None, max_examples=30)
 @given(first=vectors, second=vectors)
+def test_a_calibrated_motion_is_that_of_calibrated_velocities(first: FloatArray, second: FloatArray) -> None:
+    total = moved(first, 0.4).then(moved(second, 0.3))
+    c = OdometryCalibration(0.001, -0.002, 0.002, -0.001, 0.001, 0.002)
+    exact = se2.compose(se2.exp(calibrated(first, c) * 0.4), se2.exp(calibrated(second, c) * 0.3))
+    corrected = total.calibrated(np.array(c))
+    # to second order in the calibration
+    np.testing.assert_allclose(se2.local(exact, corrected.before_from_after), 0.0, atol=3e-5)
+    np.testing.assert_array_equal(corrected.covariance, total.covariance)
+
+
+@settings(deadline=None, max_examples=30)
+@given(first=vectors, second=vectors)
 def test_then_carries_the_first_motions_error_to_the_end_of_the_second(first: FloatArray, second: FloatArray) -> None:
     one, two = moved(first, 0.4), moved(second, 0.3)
     total = one.then(two)

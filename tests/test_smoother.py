@@ -142,6 +142,17 @@ def test_a_late_factor_counts_where_the_robot_is_by_then() -> None:
     np.testing.assert_allclose([estimate.pose for estimate in trajectory], [[0, 0, 0], [1, 0, 0]], atol=1e-3)
 
 
+def test_what_is_told_at_the_start_is_believed_with_its_covariance() -> None:
+    # the kernel at its middle does nothing: a factor alone is met exactly
+    smoother = Smoother(Config())
+    covariance = np.array([[0.04, 0.01, 0.002], [0.01, 0.02, -0.003], [0.002, -0.003, 0.01]])
+    smoother.start(Estimate(ns(1.0), START, covariance))
+    (estimate,) = smoother.trajectory()
+    assert estimate.stamp_ns == ns(1.0)
+    np.testing.assert_allclose(estimate.pose, START, atol=1e-6)
+    np.testing.assert_allclose(estimate.covariance, covariance, rtol=1e-3, atol=1e-6)
+
+
 def test_a_start_forgets_the_whole_past() -> None:
     random = np.random.default_rng(4)
     commands = velocities(30)
