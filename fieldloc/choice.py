@@ -14,10 +14,8 @@ from fieldloc.fixes.line_poses import LineConstraint
 from fieldloc.pose import rotation
 
 _SURE = 0.99
-_GATES = {
-    2: 13.82,
-    3: 16.27,
-}  # chi-square by degrees of freedom: a right solution fails once in a thousand_REACH_SIGMAS = 4.0
+# chi-square by degrees of freedom: a right solution fails once in a thousand
+_GATES = {2: 13.82, 3: 16.27}
 _REACH_SIGMAS = 4.0
 _AnyFix = TypeVar("_AnyFix", bound=Fix)
 

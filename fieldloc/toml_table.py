@@ -1,6 +1,6 @@
 """Typed reading of a TOML table: every mistake becomes one FieldlocError that names the file and the key."""
 
-import math
+import sys
 import tomllib
 from collections.abc import Mapping
 from typing import Never, TypeGuard
@@ -99,7 +99,10 @@ class TomlTable:
 
 
 def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    # an integer can be too large for any float
+    return abs(value) <= sys.float_info.max
 
 
 def _flatten(value: object) -> list[object] | None:
