@@ -4,6 +4,8 @@ Whatever an image shows shares the errors of its camera's height, pan, tilt and 
 what its posts say and what its lines say, the more certain.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from fieldloc.association import Belief, seen_in_robot
@@ -25,28 +27,31 @@ def image_factors(
     features: ImageFeatures, camera: Camera, field: FieldMap, belief: Belief | None
 ) -> tuple[PoseFactor | LineFactor | LandmarkFactor, ...]:
     """At most one factor; none where the image leaves a doubt which of its solutions is right."""
-    fixes = [fix for fix in (_posts(features, camera, field, belief), _lines(features, camera, field, belief)) if fix]
-    if fixes:
+    ground = lines_on_the_ground(camera, features.mount, features.lines)
+    sights = sight_posts(camera, features.mount, features.posts, _radius_m(field))
+    scan = _as_scan(features, sights)
+    indices = identify(scan, field, belief) if sights.seen else []
+    by_posts = _two_posts(features, camera, field, belief, sights, indices)
+    by_lines = ground and choose_fix(features.stamp_ns, poses_from_lines(ground, field), belief)
+    if fixes := [fix for fix in (by_posts, by_lines) if fix]:
         surest = min(fixes, key=lambda fix: float(np.linalg.det(fix.covariance)))
         return (PoseFactor.from_fix(features.stamp_ns, surest),)
     if belief is None:
         return ()
-    ground = lines_on_the_ground(camera, features.mount, features.lines)
     line = ground and choose_constraint(features.stamp_ns, constraints_from_lines(ground, field), belief)
-    one = line or _one_post(features, camera, field, belief)
+    one = line or _one_post(field, scan, indices)
     return (one,) if one else ()
 
 
-def _lines(features: ImageFeatures, camera: Camera, field: FieldMap, belief: Belief | None) -> Fix | None:
-    ground = lines_on_the_ground(camera, features.mount, features.lines)
-    return choose_fix(features.stamp_ns, poses_from_lines(ground, field), belief) if ground else None
-
-
-def _posts(features: ImageFeatures, camera: Camera, field: FieldMap, belief: Belief | None) -> Fix | None:
-    sights = sight_posts(camera, features.mount, features.posts, _radius_m(field))
-    if len(sights.seen) < 2:
-        return None
-    indices = identify(_as_scan(features, sights), field, belief)
+def _two_posts(
+    features: ImageFeatures,
+    camera: Camera,
+    field: FieldMap,
+    belief: Belief | None,
+    sights: PostSights,
+    indices: Sequence[int | None],
+) -> Fix | None:
+    """From the posts that are known, `indices` being the map's of those in sight."""
     known = [row for row, index in enumerate(indices) if index is not None]
     if len(known) < 2:
         return None
@@ -66,12 +71,7 @@ def _posts(features: ImageFeatures, camera: Camera, field: FieldMap, belief: Bel
     return choose_fix(features.stamp_ns, fixes, belief)
 
 
-def _one_post(features: ImageFeatures, camera: Camera, field: FieldMap, belief: Belief) -> LandmarkFactor | None:
-    sights = sight_posts(camera, features.mount, features.posts, _radius_m(field))
-    if not len(sights.seen):
-        return None
-    scan = _as_scan(features, sights)
-    indices = identify(scan, field, belief)
+def _one_post(field: FieldMap, scan: LandmarkScan, indices: Sequence[int | None]) -> LandmarkFactor | None:
     seen, covariance = seen_in_robot(scan)
     relative = np.sqrt(scan.covariance[:, 0, 0]) / scan.range_bearing[:, 0]
     sure = [row for row, index in enumerate(indices) if index is not None and relative[row] < _UNSURE_DISTANCE]
@@ -80,7 +80,7 @@ def _one_post(features: ImageFeatures, camera: Camera, field: FieldMap, belief: 
     row = min(sure, key=lambda row: float(relative[row]))
     index = indices[row]
     assert index is not None
-    return LandmarkFactor(features.stamp_ns, field.positions[index], seen[row], covariance[row])
+    return LandmarkFactor(scan.stamp_ns, field.positions[index], seen[row], covariance[row])
 
 
 def _as_scan(features: ImageFeatures, sights: PostSights) -> LandmarkScan:
