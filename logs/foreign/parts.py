@@ -34,7 +34,7 @@ class Transforms:
 
 @dataclass(frozen=True, slots=True)
 class PosePart:
-    """A pose in `frame`: position (3,), rotation (4,); covariance (6, 6) of (x, y, z, about x, y, z), None: not said."""
+    """A pose in `frame`: position (3,), rotation (4,); covariance (6, 6) of (x, y, z, about x, y, z) or None."""
 
     stamp_ns: int | None
     frame: str
@@ -64,7 +64,7 @@ class OdometryPart:
 
 @dataclass(frozen=True, slots=True)
 class ImuPart:
-    """angular_velocity (3,) rad/s, acceleration (3,) m/s^2, rotation (4,) of the sensor or None; each None: not said."""
+    """angular_velocity (3,) rad/s, acceleration (3,) m/s^2, rotation (4,) of the sensor; None: not said."""
 
     stamp_ns: int
     frame: str
