@@ -1,0 +1,120 @@
+"""run, smooth and compare: a log through one estimator or several."""
+
+import argparse
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+
+from estimators.config import Config
+from estimators.config_file import load_config, with_settings
+from fieldloc.cli.commands import Commands, Parser, start_pose
+from fieldloc.cli.terminal import bar, say, warn, warning_of
+from fieldloc.errors import FieldlocError
+from fieldloc.field import FieldMap, load_field
+from logs.reader import LogFile
+
+ONLINE = ("ekf", "particles", "dead-reckoning")
+_RUNS = Path("runs")
+_COMPARED = "dead-reckoning,ekf,particles,smooth"
+
+
+def add_commands(commands: Commands) -> None:
+    """run, smooth, compare."""
+    sub = commands.add("run", _localize, "A log through an online estimator", "run woods.mcap --estimator ekf")
+    sub.add_argument("log", type=Path, metavar="LOG")
+    add_estimation_options(sub)
+    _add_output(sub, "OUT.mcap", "runs/LOG-ESTIMATOR.mcap")
+    sub.add_argument("--estimator", choices=ONLINE, default=ONLINE[0], help="default: %(default)s")
+
+    sub = commands.add("smooth", _localize, "The best trajectory, in hindsight", "smooth woods.mcap -o best.mcap")
+    sub.add_argument("log", type=Path, metavar="LOG")
+    add_estimation_options(sub)
+    _add_output(sub, "OUT.mcap", "runs/LOG-smooth.mcap")
+    sub.set_defaults(estimator="smooth")
+
+    what, example = "Estimators side by side: a report", "compare woods.mcap --estimators ekf,smooth"
+    sub = commands.add("compare", _compare, what, example)
+    sub.add_argument("logs", type=Path, nargs="*", metavar="LOG", help="the sample log if none is given")
+    sub.add_argument("--estimators", default=_COMPARED, metavar="A,B,...", help="default: %(default)s")
+    add_estimation_options(sub)
+    _add_output(sub, "DIR", "runs/compare")
+
+
+def add_estimation_options(sub: Parser) -> None:
+    """What an estimator needs to know beside the log."""
+    sub.add_argument("--field", metavar="NAME|FILE", help="a map by name or TOML file instead of the log's own")
+    sub.add_argument(
+        "--start",
+        type=start_pose,
+        metavar="X,Y,HEADING_DEG",
+        help="pose at the first measurement, known to about 0.1 m and 5 deg; found from what is seen if not given",
+    )
+    sub.add_argument("--config", type=Path, metavar="FILE.toml", help="settings that differ from the defaults")
+    sub.add_argument(
+        "--set", action="append", default=[], metavar="SECTION.NAME=NUMBER", help="one setting, may be repeated"
+    )
+
+
+def settings(options: argparse.Namespace) -> tuple[Config, FieldMap | None]:
+    """What --config, --set and --field say."""
+    config = with_settings(load_config(options.config) if options.config else Config(), options.set)
+    return config, load_field(options.field) if options.field else None
+
+
+def _add_output(sub: Parser, metavar: str, default: str) -> None:
+    sub.add_argument("-o", "--output", type=Path, metavar=metavar, help=f"default: {default}")
+
+
+def _localize(options: argparse.Namespace) -> None:
+    from estimators.registry import ALL
+    from logs.estimates import write_estimates
+    from logs.output import output_file
+    from logs.replay import load_recording, replay
+
+    name = options.estimator
+    config, field = settings(options)
+    log = LogFile(options.log)
+    out = output_file(options.output or _RUNS / f"{options.log.stem}-{name}.mcap", options.log)
+    with warning_of(log), bar(options, name) as progress:
+        recording = load_recording(log, field, progress)
+        done = replay(recording, ALL[name](config), options.start, config.correlation, progress)
+        metadata = {
+            "estimator": name,
+            "log": os.fsencode(options.log.name).decode(errors="replace"),
+            "config": json.dumps(asdict(config)),
+        }
+        write_estimates(out, recording, done, metadata, progress)
+    warn((*recording.warnings, *done.warnings))
+    say(options, f"{out}: {len(done.estimates)} estimates of {name} in {done.total_s:.1f} s")
+
+
+def _compare(options: argparse.Namespace) -> None:
+    from estimators.registry import ALL
+    from logs.comparison import compare
+    from logs.output import output_folder
+    from logs.report import write_report
+    from logs.samples import sample_path
+    from logs.table_text import format_table
+
+    names = options.estimators.split(",")
+    if unknown := [name for name in names if name not in ALL]:
+        raise FieldlocError(
+            f"--estimators {options.estimators}: no estimator '{unknown[0]}'; there is {', '.join(ALL)}"
+        )
+    config, field = settings(options)
+    out = output_folder(options.output or _RUNS / "compare")
+    if not options.logs:
+        say(options, "no log given: the sample that ships with fieldloc, a real robot among 17 tubes")
+    done = []
+    for log in [LogFile(path) for path in options.logs or [sample_path("woods")]]:
+        with warning_of(log), bar(options, log.path.stem) as progress:
+            done.append(compare(log, {n: ALL[n] for n in names}, config, field, options.start, progress))
+        warn((*done[-1].warnings, *done[-1].failures))
+    if all(len(one.failures) == len(one.scored.runs) for one in done):
+        raise FieldlocError("nothing to compare: no estimator has an estimate")
+    scored = [one.scored for one in done]
+    with bar(options, "pictures") as progress:
+        page = write_report(out, scored, progress)
+    print(format_table(scored))
+    print(f"report: {page}")

@@ -1,0 +1,39 @@
+"""From arguments to the options of one command."""
+
+import argparse
+from collections.abc import Sequence
+from importlib.metadata import version
+
+from fieldloc.cli import localize, recordings, results
+from fieldloc.cli.commands import Commands, Parser
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """The options; `options.command(options)` runs them. FieldlocError for a wrong command line."""
+    return _parser().parse_args(_with_minus(arguments))
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="fieldloc",
+        description="Where a soccer robot stands: from its log to trajectories with covariances, compared and drawn.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=version("fieldloc"))
+    parser.set_defaults(quiet=False)
+    commands = Commands(parser.add_subparsers(metavar="COMMAND", required=True))
+    for family in (recordings, localize, results):
+        family.add_commands(commands)
+    parser.epilog = "\n  ".join(["examples:", *commands.examples])
+    return parser
+
+
+def _with_minus(arguments: Sequence[str]) -> list[str]:
+    """`--start -2,0,90` as `--start=-2,0,90`: argparse takes what begins with a minus for an option."""
+    out: list[str] = []
+    for argument in arguments:
+        if out and out[-1] == "--start":
+            out[-1] += f"={argument}"
+        else:
+            out.append(argument)
+    return out
