@@ -2,6 +2,8 @@
 
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,6 +104,87 @@ def load_recording(log: LogFile, field: FieldMap | None = None, progress: Progre
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """A measurement and what the estimator believes after it, None while it knows nothing.
+
+    update_s: what it took, None for odometry.
+    """
+
+    measurement: Measurement
+    estimate: Estimate | None
+    update_s: float | None
+
+
+class Run:
+    """An estimator on its way through a recording.
+
+    start_pose: (3,) at the first measurement, known to about 0.1 m and 5 deg. correlation: how long errors stay alike.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        estimator: Estimator,
+        start_pose: FloatArray | None = None,
+        correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
+    ) -> None:
+        self.recording = recording
+        self.estimator = estimator
+        self._start_pose = start_pose
+        self._builder = FactorBuilder(recording.field, recording.camera, correlation)
+        self._unusable: list[str] = []
+
+    def steps(self) -> Iterator[Step]:
+        """Measurement by measurement, once. FieldlocError where the estimator fails."""
+        estimator = self.estimator
+        first_ns = self.recording.measurements[0].stamp_ns
+        if self._start_pose is not None:
+            with self._failing(first_ns):
+                estimator.start(Estimate(first_ns, self._start_pose, _START_COVARIANCE))
+        for measurement in self.recording.measurements:
+            update_s = None
+            with self._failing(measurement.stamp_ns):
+                if isinstance(measurement, Odometry):
+                    estimator.predict(measurement)
+                else:
+                    before = time.perf_counter()
+                    estimator.advance(measurement.stamp_ns)
+                    for factor in _factors(self._builder, measurement, estimator, self._unusable):
+                        estimator.update(factor)
+                    update_s = time.perf_counter() - before
+                if (now := estimator.estimate()) is not None:
+                    _check(now)
+            yield Step(measurement, now, update_s)
+
+    def trajectory(self) -> tuple[Estimate, ...] | None:
+        """The past in the light of all steps taken, None where the estimator cannot look back."""
+        if not isinstance(self.estimator, Smoother):
+            return None
+        with self._failing(None):
+            estimates = self.estimator.trajectory()
+            for now in estimates:
+                _check(now)
+        return estimates
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What could not be used so far."""
+        warnings = [*self._builder.warnings()]
+        if self._unusable:
+            warnings.append(f"{len(self._unusable)} measurements left out, the first: {self._unusable[0]}")
+        return tuple(f"{self.recording.name}: {warning}" for warning in warnings)
+
+    @contextmanager
+    def _failing(self, at_ns: int | None) -> Iterator[None]:
+        try:
+            yield
+        except _FAILURES as error:
+            when = "solving" if at_ns is None else f"at {seconds(at_ns)}"
+            name = type(self.estimator).__name__
+            raise FieldlocError(f"{self.recording.name}: {name} failed {when}: {_first_line(error)}") from error
+
+
 def replay(
     recording: Recording,
     estimator: Estimator,
@@ -109,55 +192,29 @@ def replay(
     correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
     progress: Progress = unwatched,
 ) -> Replay:
-    """Feed the recording to the estimator. start_pose: (3,) at the first measurement, known to about 0.1 m and 5 deg.
+    """Feed the recording to the estimator, as `Run` does.
 
-    correlation: how long errors stay alike. FieldlocError if the estimator never got to an estimate, or failed on the
-    way.
+    FieldlocError if the estimator never got to an estimate, or failed on the way.
     """
     began = time.perf_counter()
-    builder = FactorBuilder(recording.field, recording.camera, correlation)
-    at_ns: int | None = recording.measurements[0].stamp_ns
+    run = Run(recording, estimator, start_pose, correlation)
     estimates: list[Estimate] = []
     update_s: list[float] = []
-    unusable: list[str] = []
-    try:
-        if start_pose is not None:
-            estimator.start(Estimate(recording.measurements[0].stamp_ns, start_pose, _START_COVARIANCE))
-        for done, measurement in enumerate(recording.measurements):
-            at_ns = measurement.stamp_ns
-            if isinstance(measurement, Odometry):
-                estimator.predict(measurement)
-            else:
-                before = time.perf_counter()
-                estimator.advance(measurement.stamp_ns)
-                for factor in _factors(builder, measurement, estimator, unusable):
-                    estimator.update(factor)
-                update_s.append(time.perf_counter() - before)
-            if (now := estimator.estimate()) is not None:
-                _check(now)
-                if estimates and estimates[-1].stamp_ns == now.stamp_ns:
-                    estimates.pop()
-                estimates.append(now)
-            if done % _PROGRESS_EVERY == 0:
-                progress(done, len(recording.measurements))
-        if estimates and isinstance(estimator, Smoother):
-            at_ns = None
-            progress(0, 0, "solving")
-            estimates = list(estimator.trajectory())
-            for now in estimates:
-                _check(now)
-    except _FAILURES as error:
-        when = "solving" if at_ns is None else f"at {seconds(at_ns)}"
-        raise FieldlocError(
-            f"{recording.name}: {type(estimator).__name__} failed {when}: {_first_line(error)}"
-        ) from error
+    for done, step in enumerate(run.steps()):
+        if step.update_s is not None:
+            update_s.append(step.update_s)
+        if step.estimate is not None:
+            if estimates and estimates[-1].stamp_ns == step.estimate.stamp_ns:
+                estimates.pop()
+            estimates.append(step.estimate)
+        if done % _PROGRESS_EVERY == 0:
+            progress(done, len(recording.measurements))
+    if estimates and isinstance(estimator, Smoother):
+        progress(0, 0, "solving")
+        estimates = list(run.trajectory() or ())
     if not estimates:
         raise FieldlocError(f"{recording.name}: {_never_started(recording)}")
-    warnings = [*builder.warnings()]
-    if unusable:
-        warnings.append(f"{len(unusable)} measurements left out, the first: {unusable[0]}")
-    named = tuple(f"{recording.name}: {warning}" for warning in warnings)
-    return Replay(tuple(estimates), np.array(update_s), time.perf_counter() - began, named)
+    return Replay(tuple(estimates), np.array(update_s), time.perf_counter() - began, run.warnings)
 
 
 def _factors(
