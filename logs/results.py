@@ -18,7 +18,7 @@ Json = float | int | str | None | Sequence["Json"] | dict[str, "Json"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResult:
-    """One estimator on one log. update_s: (k,) seconds of each update, empty where unknown; total_s: of the run."""
+    """One estimator on one log. update_s: (k,) seconds of each update; total_s: of the run. Unknown: empty, 0."""
 
     name: str
     trajectory: Trajectory
@@ -99,6 +99,6 @@ def _run_document(scored: ScoredRun, duration_s: float) -> dict[str, Json]:
         "updates": len(scored.run.update_s),
         "update_median_s": scored.update_median_s,
         "update_p99_s": scored.update_p99_s,
-        "total_s": total_s,
+        "total_s": total_s or None,
         "log_time_per_total_time": duration_s / total_s if total_s > 0 else None,
     }

@@ -73,7 +73,7 @@ def log_table(scored: ScoredLog) -> Table:
         _Column("known", "[%]", of(lambda m: 100 * m.truth_covered), "{:.1f}", None),
         _Column("update [ms]", "median", lambda run: _milli(run.update_median_s), "{:.2f}", None),
         _Column("update [ms]", "p99", lambda run: _milli(run.update_p99_s), "{:.2f}", None),
-        _Column("total", "[s]", lambda run: run.run.total_s, "{:.2f}", None),
+        _Column("total", "[s]", lambda run: run.run.total_s or None, "{:.2f}", None),
         _Column("log time", "/ total", lambda run: _ratio(duration_s, run.run.total_s), "{:.0f}", None),
     ]
     return _table([run.run.name for run in scored.runs], columns, scored.runs, [True] * len(scored.runs))
@@ -103,7 +103,7 @@ def summary_table(logs: Sequence[ScoredLog]) -> Table | None:
         _Column("heading RMSE [deg]", "worst", worst(_heading_rmse_deg), "{:.2f}"),
         _Column("ANEES", "mean", mean(_anees), "{:.3g}", _far_from_one),
         _Column("3 sigma [%]", "mean", mean(_within_3sigma_percent), "{:.1f}", _far_from_three_sigma),
-        _Column("total", "[s]", lambda o: o.total_s, "{:.2f}", None),
+        _Column("total", "[s]", lambda o: o.total_s or None, "{:.2f}", None),
         _Column("log time", "/ total", lambda o: _ratio(o.duration_s, o.total_s), "{:.0f}", None),
     ]
     most = max(len(overall.metrics) for overall in overalls)

@@ -32,7 +32,7 @@ def page(sections: Sequence[Section]) -> str:
     names = list(dict.fromkeys(run.run.name for scored in logs for run in scored.runs))
     title = f"{', '.join(names)} on {', '.join(scored.log.log_name for scored in logs)}"
     parts = [
-        "<header><h1>Localization, compared</h1>",
+        f"<header><h1>Localization{', compared' if len(names) > 1 else ''}</h1>",
         f"<p>{escape(title)}</p></header>",
         f"<section><h2>All {len(logs)} logs</h2>{_table(summary)}</section>" if summary else "",
         *(_section(section) for section in sections),
