@@ -5,7 +5,7 @@ and any person reads them. Numbers come back bit by bit. A change that an old re
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TypeVar
@@ -135,6 +135,17 @@ def decode(schema: Schema, topic: str, data: bytes) -> Record:
         return schema.from_json(parsed)
     except BadField as error:
         raise BadMessage(f"{topic}{_when(parsed)}: {error} ({schema.name})") from None
+
+
+def decode_many(schema: Schema, topic: str, datas: Sequence[bytes]) -> list[Record | BadMessage]:
+    """What `decode` gives for each, or the BadMessage that it raises."""
+    out: list[Record | BadMessage] = []
+    for data in datas:
+        try:
+            out.append(decode(schema, topic, data))
+        except BadMessage as error:
+            out.append(error)
+    return out
 
 
 def seconds(stamp_ns: int) -> str:
