@@ -16,6 +16,7 @@ from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Odometry, Truth
 from logs.messages import camera, image, landmarks, motion
+from logs.messages.batch import Odd
 from logs.messages.fields import BadField, JsonObject
 
 MESSAGE_ENCODING = "json"
@@ -25,6 +26,7 @@ Stamped = Odometry | ImageFeatures | LandmarkScan | Compass | Truth | Estimate |
 Record = Stamped | Camera | FieldMap
 R = TypeVar("R", bound=Record)
 
+_FEW = 8  # messages are read one by one
 _ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
@@ -42,6 +44,8 @@ class Schema:
     json_schema: JsonObject
     to_json: Callable[[Record], JsonObject]
     from_json: Callable[[JsonObject], Record]
+    batch: Callable[[Sequence[bytes]], Sequence[Record]] | None
+    """Reads many messages as `from_json` would, or raises logs.messages.batch.Odd."""
 
     @property
     def name(self) -> str:
@@ -61,6 +65,7 @@ def _schema(
     json_schema: JsonObject,
     to_json: Callable[[R], JsonObject],
     from_json: Callable[[JsonObject], R],
+    batch: Callable[[Sequence[bytes]], Sequence[R]] | None = None,
     version: int = 1,
 ) -> Schema:
     def checked(record: Record) -> JsonObject:
@@ -68,11 +73,18 @@ def _schema(
             raise ValueError(f"a {type(record).__name__} where a {kind.__name__} is needed")
         return to_json(record)
 
-    return Schema(role, kind, version, json_schema, checked, from_json)
+    return Schema(role, kind, version, json_schema, checked, from_json, batch)
 
 
 SCHEMAS = (
-    _schema("odometry", Odometry, motion.ODOMETRY_SCHEMA, motion.odometry_to_json, motion.odometry_from_json),
+    _schema(
+        "odometry",
+        Odometry,
+        motion.ODOMETRY_SCHEMA,
+        motion.odometry_to_json,
+        motion.odometry_from_json,
+        motion.odometry_batch,
+    ),
     _schema("camera", Camera, camera.CAMERA_SCHEMA, camera.camera_to_json, camera.camera_from_json),
     _schema(
         "image_features",
@@ -80,6 +92,7 @@ SCHEMAS = (
         image.IMAGE_FEATURES_SCHEMA,
         image.image_features_to_json,
         image.image_features_from_json,
+        image.image_features_batch,
     ),
     _schema(
         "landmarks",
@@ -87,16 +100,32 @@ SCHEMAS = (
         landmarks.LANDMARK_SCAN_SCHEMA,
         landmarks.landmark_scan_to_json,
         landmarks.landmark_scan_from_json,
+        landmarks.landmark_scan_batch,
     ),
-    _schema("compass", Compass, motion.COMPASS_SCHEMA, motion.compass_to_json, motion.compass_from_json),
-    _schema("truth", Truth, motion.TRUTH_SCHEMA, motion.truth_to_json, motion.truth_from_json),
-    _schema("estimate", Estimate, motion.ESTIMATE_SCHEMA, motion.estimate_to_json, motion.estimate_from_json),
+    _schema(
+        "compass",
+        Compass,
+        motion.COMPASS_SCHEMA,
+        motion.compass_to_json,
+        motion.compass_from_json,
+        motion.compass_batch,
+    ),
+    _schema("truth", Truth, motion.TRUTH_SCHEMA, motion.truth_to_json, motion.truth_from_json, motion.truth_batch),
+    _schema(
+        "estimate",
+        Estimate,
+        motion.ESTIMATE_SCHEMA,
+        motion.estimate_to_json,
+        motion.estimate_from_json,
+        motion.estimate_batch,
+    ),
     _schema(
         "initial_pose",
         InitialPose,
         motion.INITIAL_POSE_SCHEMA,
         motion.estimate_to_json,
         motion.initial_pose_from_json,
+        motion.initial_pose_batch,
     ),
     _schema("field", FieldMap, landmarks.FIELD_MAP_SCHEMA, landmarks.field_map_to_json, landmarks.field_map_from_json),
 )
@@ -138,7 +167,13 @@ def decode(schema: Schema, topic: str, data: bytes) -> Record:
 
 
 def decode_many(schema: Schema, topic: str, datas: Sequence[bytes]) -> list[Record | BadMessage]:
-    """What `decode` gives for each, or the BadMessage that it raises."""
+    """What `decode` gives for each, bit by bit, or the BadMessage that it raises; several times as fast."""
+    if len(datas) > _FEW and schema.batch is not None:
+        try:
+            return [*schema.batch(datas)]
+        except Odd:  # most often one message in many
+            half = len(datas) // 2
+            return decode_many(schema, topic, datas[:half]) + decode_many(schema, topic, datas[half:])
     out: list[Record | BadMessage] = []
     for data in datas:
         try:

@@ -1,24 +1,23 @@
 """Strict, cheap readers for the fields of a JSON message, and the pieces its JSON Schema is made of.
 
-Sixty thousand messages a log pass through here, so the checks are plain Python on small lists. JSON knows no NaN and
-no infinity: a message that carries one (as Python's json writes them, or as null) is refused.
+What is read or written one by one passes through here, so the checks are plain Python on small lists. JSON knows no NaN
+and no infinity: a message that carries one (as Python's json writes them, or as null) is refused.
 """
 
 from collections.abc import Callable, Sequence
-from math import inf, sqrt
+from math import inf
 from typing import TypeVar
 
 import numpy as np
 
 from fieldloc.pose import FloatArray
+from logs.messages.symmetric import is_covariance
 
 Json = dict[str, "Json"] | list["Json"] | str | int | float | bool | None
 JsonObject = dict[str, Json]
 T = TypeVar("T")
 
 _ABSENT = object()
-_ROUNDING = 1e-9  # how far a correlation matrix may be from symmetry, or an eigenvalue of it below zero
-_SINGULAR = 1e-13  # no inverse worth having below this pivot of a correlation matrix
 
 
 class BadField(ValueError):
@@ -113,7 +112,7 @@ def covariance_rows(data: JsonObject, name: str, size: int, definite: bool = Fal
     if type(value) is not list or [len(row) if type(row) is list else -1 for row in value] != [size] * size:
         raise BadField(name, f"is not a {size} x {size} matrix" if value is not _ABSENT else "is missing")
     rows = [[_number(x, name) for x in row] for row in value]
-    if not (_is_plain(rows) or _is_covariance(rows, definite)):
+    if not is_covariance(rows, definite):
         kind = "definite" if definite else "semidefinite"
         raise BadField(name, f"is not a covariance: it must be symmetric and positive {kind}")
     return rows
@@ -152,34 +151,6 @@ def _rows(value: object, name: str, shape: Sequence[int]) -> list[object] | floa
     if len(value) != shape[0]:
         raise BadField(name, f"has {len(value)} entries where {shape[0]} are needed")
     return [_rows(item, name, shape[1:]) for item in value]
-
-
-def _is_plain(rows: list[list[float]]) -> bool:
-    """Diagonal, 2 x 2 and positive: what nearly every landmark has, at a tenth of the price."""
-    return len(rows) == 2 and rows[0][0] > 0.0 < rows[1][1] and rows[0][1] == 0.0 == rows[1][0]
-
-
-def _is_covariance(rows: list[list[float]], definite: bool) -> bool:
-    """Cholesky on the correlation matrix, so that no axis' unit decides what is rounding."""
-    if any(rows[i][i] < 0.0 for i in range(len(rows))):
-        return False
-    scale = [1.0 / sqrt(row[i]) if row[i] > 0.0 else 0.0 for i, row in enumerate(rows)]
-    lower: list[list[float]] = []
-    for i, row in enumerate(rows):
-        lower.append([])
-        for j in range(i + 1):
-            unit = scale[i] * scale[j]
-            if abs(row[j] - rows[j][i]) * unit > _ROUNDING or (unit == 0.0 and (row[j] != 0.0 or rows[j][i] != 0.0)):
-                return False
-            left = row[j] * unit - sum(lower[i][k] * lower[j][k] for k in range(j))
-            if j < i:
-                lower[i].append(left / lower[j][j])
-                continue
-            pivot = left if definite else left + _ROUNDING
-            if pivot <= _SINGULAR:
-                return False
-            lower[i].append(sqrt(pivot))
-    return True
 
 
 def _refusal(value: object, needed: str) -> str:

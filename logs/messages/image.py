@@ -1,6 +1,12 @@
 """What was seen in one image, and from where, as JSON."""
 
+from collections.abc import Sequence
+from itertools import chain, islice
+
+from msgspec import Raw
+
 from fieldloc.measurements import CameraMount, ImageFeatures, LineObservation, PostObservation
+from logs.messages import batch
 from logs.messages.fields import (
     STAMP,
     BadField,
@@ -119,3 +125,73 @@ def _post_from_json(data: JsonObject) -> PostObservation:
 
 def _line_from_json(data: JsonObject) -> LineObservation:
     return LineObservation(fixed_array(data, "ends_px", 2, 2), covariance(data, "covariance_px2", 4))
+
+
+class _MountMessage(batch.Message):
+    x_m: float
+    y_m: float
+    height_m: float
+    pan_rad: float
+    tilt_rad: float
+    roll_rad: float
+    covariance: Raw
+
+
+class _PostMessage(batch.Message):
+    label: str | None
+    edges_px: tuple[batch.Pair, batch.Pair]
+    covariance_px2: Raw
+    foot_px: batch.Pair | None
+    foot_covariance_px2: Raw
+
+
+class _LineMessage(batch.Message):
+    ends_px: tuple[batch.Pair, batch.Pair]
+    covariance_px2: Raw
+
+
+class _ImageMessage(batch.Message):
+    stamp_ns: object
+    mount: _MountMessage
+    posts: list[_PostMessage]
+    lines: list[_LineMessage]
+
+
+_read_images = batch.reader(_ImageMessage)
+
+
+def image_features_batch(datas: Sequence[bytes]) -> list[ImageFeatures]:
+    read = _read_images(datas)
+    mounts = _mounts([m.mount for m in read])
+    posts = iter(_posts([post for m in read for post in m.posts]))
+    lines = iter(_lines([line for m in read for line in m.lines]))
+    return [
+        ImageFeatures(stamp_ns, mount, tuple(islice(posts, len(m.posts))), tuple(islice(lines, len(m.lines))))
+        for m, stamp_ns, mount in zip(read, batch.stamps([m.stamp_ns for m in read]), mounts, strict=True)
+    ]
+
+
+def _mounts(read: Sequence[_MountMessage]) -> list[CameraMount]:
+    batch.positive([m.height_m for m in read])
+    return [
+        CameraMount(m.height_m, m.pan_rad, m.tilt_rad, m.roll_rad, covariance, m.x_m, m.y_m)
+        for m, covariance in zip(read, batch.covariances([m.covariance for m in read], 4), strict=True)
+    ]
+
+
+def _posts(read: Sequence[_PostMessage]) -> list[PostObservation]:
+    edges = batch.arrays(chain.from_iterable(chain.from_iterable([m.edges_px for m in read])), 2, 2)
+    covariances = batch.covariances([m.covariance_px2 for m in read], 4)
+    feet = iter(batch.arrays(chain.from_iterable([m.foot_px for m in read if m.foot_px is not None]), 2))
+    foot_covariances = batch.covariances_or_none([m.foot_covariance_px2 for m in read], 2)
+    if any((m.foot_px is None) != (matrix is None) for m, matrix in zip(read, foot_covariances, strict=True)):
+        raise batch.Odd
+    return [
+        PostObservation(edge, covariance, None if m.foot_px is None else next(feet), foot_covariance, m.label)
+        for m, edge, covariance, foot_covariance in zip(read, edges, covariances, foot_covariances, strict=True)
+    ]
+
+
+def _lines(read: Sequence[_LineMessage]) -> list[LineObservation]:
+    ends = batch.arrays(chain.from_iterable(chain.from_iterable([m.ends_px for m in read])), 2, 2)
+    return [*map(LineObservation, ends, batch.covariances([m.covariance_px2 for m in read], 4))]

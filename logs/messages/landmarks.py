@@ -1,9 +1,13 @@
 """Range-bearing scans and the field map as JSON."""
 
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
+
 import numpy as np
 
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan
+from logs.messages import batch
 from logs.messages.fields import (
     STAMP,
     BadField,
@@ -24,7 +28,7 @@ from logs.messages.fields import (
     text,
     text_or_none,
 )
-from logs.messages.motion import pose_from_json, pose_to_json
+from logs.messages.motion import PoseMessage, pose_from_json, pose_to_json, poses
 
 LANDMARK_SCAN_SCHEMA = object_schema(
     "Vertical landmarks seen at one instant as range and bearing from a sensor on the robot",
@@ -134,3 +138,44 @@ def _landmark_from_json(data: JsonObject) -> Landmark:
     if diameter < 0.0:
         raise BadField("diameter_m", f"is {diameter:g}, must not be negative")
     return Landmark(text(data, "label"), position, diameter, covariance(data, "covariance_m2", 2))
+
+
+class _SeenMessage(batch.Message):
+    label: str | None
+    range_m: float
+    bearing_rad: float
+    covariance: tuple[batch.Pair, batch.Pair]  # mostly another one each time, so that Raw would not pay
+
+
+class _ScanMessage(batch.Message):
+    stamp_ns: object
+    robot_from_sensor: PoseMessage
+    landmarks: list[_SeenMessage]
+
+
+_read_scans = batch.reader(_ScanMessage)
+
+
+def landmark_scan_batch(datas: Sequence[bytes]) -> list[LandmarkScan]:
+    read = _read_scans(datas)
+    seen = [one for m in read for one in m.landmarks]
+    batch.positive([one.range_m for one in seen])
+    range_bearing = batch.block([x for one in seen for x in (one.range_m, one.bearing_rad)], 2)
+    covariances = batch.definite([one.covariance for one in seen], 2)
+    ends = pairwise(accumulate([len(m.landmarks) for m in read], initial=0))
+    return [
+        LandmarkScan(
+            stamp_ns,
+            tuple([one.label for one in m.landmarks]),
+            range_bearing[start:end].copy(),
+            covariances[start:end].copy(),
+            pose,
+        )
+        for m, stamp_ns, pose, (start, end) in zip(
+            read,
+            batch.stamps([m.stamp_ns for m in read]),
+            poses([m.robot_from_sensor for m in read]),
+            ends,
+            strict=True,
+        )
+    ]

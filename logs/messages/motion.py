@@ -1,10 +1,14 @@
 """Odometry, compass, truth, estimate and initial pose as JSON."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from msgspec import Raw
 
 from estimators.base import Estimate
 from fieldloc.measurements import Compass, InitialPose, Odometry, Truth
 from fieldloc.pose import FloatArray
+from logs.messages import batch
 from logs.messages.fields import (
     STAMP,
     JsonObject,
@@ -105,3 +109,71 @@ def pose_to_json(pose: FloatArray) -> JsonObject:
 
 def pose_from_json(data: JsonObject) -> FloatArray:
     return np.array([number(data, "x_m"), number(data, "y_m"), number(data, "heading_rad")])
+
+
+class PoseMessage(batch.Message):
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
+class _OdometryMessage(batch.Message):
+    stamp_ns: object
+    forward_mps: float
+    left_mps: float
+    turn_radps: float
+    covariance: Raw
+
+
+class _CompassMessage(batch.Message):
+    stamp_ns: object
+    heading_rad: float
+    sigma_rad: float
+
+
+class _TruthMessage(PoseMessage):
+    stamp_ns: object
+
+
+class _EstimateMessage(PoseMessage):
+    stamp_ns: object
+    covariance: Raw
+
+
+_read_odometry = batch.reader(_OdometryMessage)
+_read_compass = batch.reader(_CompassMessage)
+_read_truth = batch.reader(_TruthMessage)
+_read_estimate = batch.reader(_EstimateMessage)
+
+
+def odometry_batch(datas: Sequence[bytes]) -> list[Odometry]:
+    read = _read_odometry(datas)
+    velocities = batch.arrays([x for m in read for x in (m.forward_mps, m.left_mps, m.turn_radps)], 3)
+    covariances = batch.covariances_or_none([m.covariance for m in read], 3)
+    return [*map(Odometry, batch.stamps([m.stamp_ns for m in read]), velocities, covariances)]
+
+
+def compass_batch(datas: Sequence[bytes]) -> list[Compass]:
+    read = _read_compass(datas)
+    sigmas = batch.positive([m.sigma_rad for m in read])
+    return [*map(Compass, batch.stamps([m.stamp_ns for m in read]), [m.heading_rad for m in read], sigmas)]
+
+
+def truth_batch(datas: Sequence[bytes]) -> list[Truth]:
+    read = _read_truth(datas)
+    return [*map(Truth, batch.stamps([m.stamp_ns for m in read]), poses(read))]
+
+
+def estimate_batch(datas: Sequence[bytes]) -> list[Estimate]:
+    read = _read_estimate(datas)
+    covariances = batch.covariances([m.covariance for m in read], 3)
+    return [*map(Estimate, batch.stamps([m.stamp_ns for m in read]), poses(read), covariances)]
+
+
+def initial_pose_batch(datas: Sequence[bytes]) -> list[InitialPose]:
+    return [InitialPose(e.stamp_ns, e.pose, e.covariance) for e in estimate_batch(datas)]
+
+
+def poses(read: Sequence[PoseMessage]) -> list[FloatArray]:
+    """(3,) each."""
+    return batch.arrays([x for m in read for x in (m.x_m, m.y_m, m.heading_rad)], 3)
