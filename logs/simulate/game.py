@@ -1,4 +1,4 @@
-"""A game from a scenario and a seed: what happened, and what each sensor but the camera says of it."""
+"""A game from a scenario and a seed: what happened, and what each sensor says of it."""
 
 from dataclasses import dataclass
 
@@ -15,6 +15,7 @@ from logs.simulate.odometry import Believed, believe
 from logs.simulate.plan import Player
 from logs.simulate.robots import make_way, walk_about
 from logs.simulate.scenario import Scenario
+from logs.simulate.sight import SimulatedCamera
 from logs.simulate.walk import Walk, take_walk
 
 BEGIN_NS = 1_000_000_000
@@ -48,6 +49,7 @@ class Game:
     course: Course
     believed: Believed
     headings: Headings
+    camera: SimulatedCamera
     told: FloatArray | None
     delivery: Delivery
     random: dict[str, np.random.Generator]
@@ -94,6 +96,7 @@ def play(scenario: Scenario, field: FieldMap, seed: int) -> Game:
         course,
         believe(walk, phase, bumped, s.odometry, random["odometry"]),
         point_north(course, bounds, s.compass, random["compass"]),
+        SimulatedCamera(s.vision, random["vision"]),
         told,
         Delivery(s.delivery, BEGIN_NS, s.duration_s, random["delivery"]),
         random,

@@ -110,7 +110,7 @@ class KidnappingSettings(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class PenaltySettings(_Checked):
-    """Someone carries the robot to a touch line in its own half; it stands there, facing the field, until it may go on."""
+    """Someone carries the robot to a touch line in its own half; it stands there, facing the field, until it may go."""
 
     per_min: float = 0.0
     at_s: tuple[float, ...] = ()

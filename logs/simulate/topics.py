@@ -2,7 +2,7 @@
 
 import heapq
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, Odometry, Truth
 from logs.schema import Record, topic_of
 from logs.simulate.course import SAMPLE_NS
-from logs.simulate.delivery import Delivery
 from logs.simulate.game import BEGIN_NS, Game
 from logs.simulate.odometry import stated_covariance
 
@@ -24,17 +23,10 @@ class Logged(NamedTuple):
     record: Record
 
 
-def messages(game: Game, images: Iterable[tuple[int, ImageFeatures]]) -> Iterator[Logged]:
-    """All of the game in the order of log time. images: (log time, features) in that order."""
-    head = _head(game)
-    return heapq.merge(
-        head,
-        _truths(game),
-        _odometry(game),
-        _compass(game),
-        _images(game.delivery, images),
-        key=lambda message: message.log_time_ns,
-    )
+def messages(game: Game) -> Iterator[Logged]:
+    """All of the game in the order of log time."""
+    topics = (_head(game), _truths(game), _odometry(game), _compass(game), _images(game))
+    return heapq.merge(*topics, key=lambda message: message.log_time_ns)
 
 
 def _head(game: Game) -> list[Logged]:
@@ -81,15 +73,15 @@ def _compass(game: Game) -> Iterator[Logged]:
         yield Logged(log_time_ns, topic, Compass(stamp_ns, heading_rad, sigma_rad))
 
 
-def _images(delivery: Delivery, images: Iterable[tuple[int, ImageFeatures]]) -> Iterator[Logged]:
+def _images(game: Game) -> Iterator[Logged]:
     topic = topic_of(ImageFeatures)
-    for ready_ns, features in images:
-        log_times = delivery.arrivals_ns(np.array([ready_ns]))
-        if delivery.kept(log_times)[0]:
+    for ready_ns, features in game.camera.images(game.course, game.field):
+        log_times = game.delivery.arrivals_ns(np.array([ready_ns]))
+        if game.delivery.kept(log_times)[0]:
             yield Logged(int(log_times[0]), topic, features)
 
 
-def simulation_metadata(game: Game, seed: int, drawn_by_camera: Mapping[str, float]) -> dict[str, str]:
+def simulation_metadata(game: Game, seed: int) -> dict[str, str]:
     """The scenario, the seed, and what was drawn: numbers that a calibration should find again."""
     calibration, magnetics = game.believed.calibration, game.headings.magnetics
     drawn = {
@@ -99,7 +91,7 @@ def simulation_metadata(game: Game, seed: int, drawn_by_camera: Mapping[str, flo
         "hard_iron": magnetics.hard_iron.tolist(),
         "declination_rad": magnetics.declination_rad,
         "steel": magnetics.steel.tolist(),
-        "camera": dict(drawn_by_camera),
+        "camera": dict(game.camera.truth),
         "events": [event._asdict() for event in game.walk.happened],
         "stalls_ns": game.delivery.stalls_ns.tolist(),
         "gaps_ns": game.delivery.gaps_ns.tolist(),
