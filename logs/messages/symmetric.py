@@ -3,6 +3,7 @@
 Cholesky on the correlation matrix, so that no axis' unit decides what is rounding.
 """
 
+from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -16,7 +17,7 @@ _SINGULAR = 1e-13  # no inverse worth having below this pivot of a correlation m
 
 def is_covariance(rows: list[list[float]], definite: bool) -> bool:
     """Whether it is symmetric and positive semidefinite, or definite. Square, at least 2 x 2, finite."""
-    return _is_plain(rows) or _has_root(rows, definite)
+    return _is_plain(rows) or _has_root(tuple(map(tuple, rows)), definite)
 
 
 def are_covariances(stack: FloatArray, definite: bool) -> NDArray[np.bool_]:
@@ -38,7 +39,8 @@ def _are_plain(stack: FloatArray) -> NDArray[np.bool_]:
     return plain
 
 
-def _has_root(rows: list[list[float]], definite: bool) -> bool:
+@lru_cache(maxsize=64)  # a robot mostly states one covariance all day
+def _has_root(rows: tuple[tuple[float, ...], ...], definite: bool) -> bool:
     if any(rows[i][i] < 0.0 for i in range(len(rows))):
         return False
     scale = [1.0 / sqrt(row[i]) if row[i] > 0.0 else 0.0 for i, row in enumerate(rows)]
