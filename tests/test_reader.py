@@ -17,7 +17,8 @@ from mcap.reader import NonSeekingReader
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import Compass, LandmarkScan, Odometry, Truth
-from logs.reader import LogFile, order, read_log, records
+from logs.reader import LogFile, chunks, mcap_container, read_log
+from logs.reader.mcap_container import McapContainer
 from logs.schema import BY_KIND, encode
 from logs.writer import LogWriter
 
@@ -36,27 +37,27 @@ def truth(i):
 
 def write_log(path, count=400, chunk_messages=None):
     """Odometry and truth in turn; a new chunk after every so many of each."""
-    with LogWriter(path) as log:
-        log.write("/field", FIELD, log_time_ns=0)
-        for i in range(count):
-            log.write("/odometry", odometry(i))
-            log.write("/truth", truth(i))
-            if chunk_messages and i % chunk_messages == chunk_messages - 1:
-                log._mcap.flush()
-    return path
+    pairs = [(as_raw("/odometry", odometry(i)), as_raw("/truth", truth(i))) for i in range(count)]
+    per_chunk = chunk_messages or max(count, 1)
+    groups = [[message for pair in pairs[i : i + per_chunk] for message in pair] for i in range(0, count, per_chunk)]
+    groups[:1] = [[as_raw("/field", FIELD, time_ns=0), *(groups[0] if groups else [])]]
+    return write_raw(path, groups)
 
 
-def write_raw(path, messages, **options):
-    """messages: (topic, schema name, message encoding, log time, bytes). options: of mcap's writer."""
+def write_raw(path, groups, **options):
+    """groups: lists of (topic, schema name, message encoding, log time, bytes), each ends a chunk; or one such list."""
+    groups = [groups] if groups and isinstance(groups[0], tuple) else groups
     with path.open("wb") as file:
         log = mcap.writer.Writer(file, **options)
         log.start()
         channels = {}
-        for topic, schema, encoding, time_ns, data in messages:
-            if (topic, schema) not in channels:
-                number = log.register_schema(schema, "jsonschema" if encoding == "json" else "ros2msg", b"{}")
-                channels[topic, schema] = log.register_channel(topic, encoding, number)
-            log.add_message(channels[topic, schema], time_ns, data, time_ns)
+        for messages in groups:
+            for topic, schema, encoding, time_ns, data in messages:
+                if (topic, schema) not in channels:
+                    number = log.register_schema(schema, "jsonschema" if encoding == "json" else "ros2msg", b"{}")
+                    channels[topic, schema] = log.register_channel(topic, encoding, number)
+                log.add_message(channels[topic, schema], time_ns, data, time_ns)
+            log.flush()
         log.finish()
     return path
 
@@ -305,7 +306,7 @@ def test_wherever_a_file_is_cut_every_whole_chunk_or_record_before_the_cut_is_re
     path = tmp_path / "log.mcap"
     write_raw(path, [as_raw("/truth", truth(i)) for i in range(120)], chunk_size=2000, use_chunking=chunked)
     size = path.stat().st_size
-    blocks = LogFile(path)._index.blocks
+    blocks = McapContainer(path)._contents.blocks
     whole = {block.end: block.last_ns // 10**8 + 1 for block in blocks}
     rng = random.Random(5)
     for length in sorted({9, 50, *(rng.randrange(9, size) for _ in range(150)), size - 1}):
@@ -336,19 +337,21 @@ def test_a_log_that_only_lost_its_index_is_read_in_full(tmp_path):
 
 def test_a_chunk_whose_bytes_were_changed_is_left_out_with_a_warning(tmp_path):
     path = write_log(tmp_path / "log.mcap", chunk_messages=100)
-    block = LogFile(path)._index.blocks[1]
+    block = McapContainer(path)._contents.blocks[1]
     content = bytearray(path.read_bytes())
     content[(block.start + block.end) // 2] ^= 0x10
     path.write_bytes(content)
     log = LogFile(path)
     stamps = [record.stamp_ns // 10**8 for record in log.records(Odometry)]
     assert stamps == [*range(100), *range(200, 400)]
-    assert log.warnings == (f"{path}: /odometry: 100 messages are in damaged records",)
+    (warning,) = log.warnings
+    assert warning.startswith(f"{path}: 1 damaged chunk left out")
+    assert warning.endswith("9.9 s missing, from 10.0 s on, 200 messages")
     content = content[:-8]  # and now without the index
     path.write_bytes(content)
     log = LogFile(path)
     assert [record.stamp_ns // 10**8 for record in log.records(Odometry)] == stamps
-    assert any("1 damaged record left out" in warning for warning in log.warnings)
+    assert any(w.endswith("9.9 s missing, from 10.0 s on, 200 messages") for w in log.warnings)
 
 
 def test_flipped_bits_never_give_a_traceback_a_wrong_message_or_silence(tmp_path):
@@ -388,10 +391,10 @@ def test_a_record_that_claims_to_be_huge_is_not_believed(tmp_path):
 def test_a_log_is_read_as_it_is_needed(tmp_path, monkeypatch):
     path = write_log(tmp_path / "log.mcap", count=400, chunk_messages=20)
     read = []
-    monkeypatch.setattr(order, "read", lambda file, span: read.append(span) or records.read(file, span))
+    monkeypatch.setattr(mcap_container, "read_chunk", lambda *place: read.append(place) or chunks.read_chunk(*place))
     messages = LogFile(path).messages()
     for _ in range(45):  # the 41 of the first chunk (the map is in it) and 4 of the second
         next(messages)
-    assert sum(span.opcode == Opcode.CHUNK for span in read) == 2
+    assert len(read) == 2
     assert len(list(messages)) == 801 - 45
-    assert sum(span.opcode == Opcode.CHUNK for span in read) == 20
+    assert len(read) == 20

@@ -4,13 +4,10 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO
 
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
-from logs.reader.index import Index, Source, index
-from logs.reader.order import in_time_order
-from logs.reader.records import MAGIC
+from logs.reader.container import open_container
 from logs.schema import (
     BY_KIND,
     BY_NAME,
@@ -24,6 +21,7 @@ from logs.schema import (
     Schema,
     decode,
 )
+from logs.source import Source
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,34 +50,30 @@ class LogFile:
     def __init__(self, path: str | Path, roles: Mapping[str, str] | None = None) -> None:
         self.path = Path(path)
         self.roles: Mapping[str, str] = MappingProxyType({**TOPICS, **(roles or {})})
-        with _open(self.path) as file:
-            self._index: Index = index(file, self.path.stat().st_size)
+        self.container = open_container(self.path)
         self._skipped: dict[str, _Skipped] = {}
-        self._missing: dict[str, int] = {}
 
     @property
     def sources(self) -> tuple[tuple[Source, int], ...]:
         """Every channel, known to fieldloc or not, with its number of messages, by topic."""
-        counts = self._index.counts
-        pairs = [(source, counts.get(number, 0)) for number, source in self._index.sources.items()]
+        counts = self.container.counts
+        pairs = [(source, counts.get(number, 0)) for number, source in self.container.sources.items()]
         return tuple(sorted(pairs, key=lambda pair: (pair[0].topic, pair[0].schema_name)))
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
         """Metadata records by name; what fieldloc writes about a log is in "fieldloc"."""
-        return self._index.metadata
+        return self.container.metadata
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
         """Log time of the first and the last message on any topic."""
-        blocks = self._index.blocks
-        return (min(b.first_ns for b in blocks), max(b.last_ns for b in blocks)) if blocks else None
+        return self.container.span_ns
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the file, and with the messages met so far."""
-        out = [f"{self.path}: {sentence}" for sentence in self._index.damage]
-        out += [f"{self.path}: {topic}: {n} messages are in damaged records" for topic, n in self._missing.items()]
+        out = [f"{self.path}: {sentence}" for sentence in self.container.damage]
         for topic, skipped in self._skipped.items():
             total = sum(count for source, count in self.sources if source.topic == topic)
             out.append(f"{self.path}: {skipped.count} of {total} messages left out, the first: {skipped.first}")
@@ -126,47 +120,38 @@ class LogFile:
         the first message, if a topic carries something else than its role needs, or if there is nothing to read.
         """
         wanted: dict[int, tuple[str, Schema]] = {}
-        for number, source in self._index.sources.items():
+        for number, source in self.container.sources.items():
             if topics is not None and source.topic not in topics:
                 continue
             if problem := self.problem(source):
                 raise FieldlocError(f"{self.path}: {problem}")
             if schema := _schema(source):
                 wanted[number] = (source.topic, schema)
-        if not any(self._index.counts.get(number) for number in wanted):
+        if not any(self.container.counts.get(number) for number in wanted):
             raise FieldlocError(f"{self.path}: {self._nothing(topics)}")
         return self._decoded(wanted)
 
     def log_times(self) -> Iterator[tuple[Source, int]]:
         """Log time of every message on every channel, decoded by nobody, in the order of log time."""
-        sources = self._index.sources
-        with _open(self.path) as file:
-            for raw in in_time_order(file, self._index.blocks, sources.keys()):
-                yield sources[raw.channel_id], raw.log_time
+        sources = self.container.sources
+        for raw in self.container.messages(sources.keys()):
+            yield sources[raw.channel], raw.log_time_ns
 
     def _decoded(self, wanted: Mapping[int, tuple[str, Schema]]) -> Iterator[Message]:
         for topic, _ in wanted.values():
             self._skipped.pop(topic, None)
-            self._missing.pop(topic, None)
-        left = {number: self._index.counts.get(number, 0) for number in wanted}
-        with _open(self.path) as file:
-            for raw in in_time_order(file, self._index.blocks, wanted.keys()):
-                left[raw.channel_id] -= 1
-                topic, schema = wanted[raw.channel_id]
-                try:
-                    record = decode(schema, topic, raw.data)
-                except BadMessage as error:
-                    self._skipped.setdefault(topic, _Skipped(0, str(error))).count += 1
-                    continue
-                yield Message(topic, raw.log_time, record)
-        for number, missing in left.items():
-            if missing > 0:
-                topic = wanted[number][0]
-                self._missing[topic] = self._missing.get(topic, 0) + missing
+        for raw in self.container.messages(wanted.keys()):
+            topic, schema = wanted[raw.channel]
+            try:
+                record = decode(schema, topic, raw.data)
+            except BadMessage as error:
+                self._skipped.setdefault(topic, _Skipped(0, str(error))).count += 1
+                continue
+            yield Message(topic, raw.log_time_ns, record)
 
     def _nothing(self, topics: Collection[str] | None) -> str:
-        if not self._index.message_count:
-            return "; ".join(["holds no messages", *self._index.damage])
+        if not sum(self.container.counts.values()):
+            return "; ".join(["holds no messages", *self.container.damage])
         held = ", ".join(f"{s.topic} ({s.schema_name or s.message_encoding})" for s, count in self.sources if count)
         wanted = "no topic that fieldloc understands" if topics is None else f"no messages on {', '.join(topics)}"
         return f"{wanted}; it holds {held}"
@@ -183,30 +168,3 @@ def _schema(source: Source) -> Schema | None:
     if (source.message_encoding, source.schema_encoding) != (MESSAGE_ENCODING, SCHEMA_ENCODING):
         return None
     return BY_NAME.get(source.schema_name)
-
-
-def _open(path: Path) -> IO[bytes]:
-    """An MCAP file, opened; FieldlocError if it is none."""
-    if path.is_dir():
-        raise FieldlocError(f"{path}: is a directory; give an MCAP file")
-    try:
-        file = path.open("rb")
-    except FileNotFoundError:
-        raise FieldlocError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
-        raise FieldlocError(f"{path}: cannot be opened: {error}") from None
-    try:
-        if not file.seekable():
-            raise OSError("a pipe, save it to a file first")
-        magic = file.read(len(MAGIC))
-    except OSError as error:
-        file.close()
-        raise FieldlocError(f"{path}: cannot be read: {error}") from None
-    if magic == MAGIC:
-        return file
-    file.close()
-    if not magic:
-        raise FieldlocError(f"{path}: empty; give an MCAP file")
-    if MAGIC.startswith(magic):
-        raise FieldlocError(f"{path}: cut off within its first {len(MAGIC)} bytes")
-    raise FieldlocError(f"{path}: not an MCAP file: it does not begin with MCAP's magic number")

@@ -1,84 +1,188 @@
-"""MCAP at the level of its records: where each starts and ends, and what mcap reads in it.
+"""MCAP at the level of its records: where each starts and ends, and what the small ones say.
 
 An MCAP file is a magic number, then records of one byte opcode, eight bytes length and that many bytes, then the magic
-number again (https://mcap.dev/spec). Walking the lengths never reads beyond the file, whatever a damaged byte claims.
+number again (https://mcap.dev/spec). All numbers are little-endian. Nothing here reads beyond what it was given,
+whatever a damaged byte claims.
 """
 
 import struct
-import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from io import BytesIO
-from typing import IO
-
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE
-from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import breakup_chunk
-from zstandard import ZstdError
+from enum import IntEnum
+from typing import IO, NamedTuple
 
 MAGIC = b"\x89MCAP0\r\n"
-DAMAGE = (McapError, ZstdError, struct.error, ValueError, KeyError, OverflowError, MemoryError, RuntimeError, EOFError)
-"""What mcap and its decompressors raise on damaged bytes (a failed CRC is a ValueError, lz4's is a RuntimeError)."""
+HEAD = struct.Struct("<BQ")
+"""A record's opcode and the length of what follows."""
+LIMIT_BYTES = 1 << 30
+"""No record is read into memory, and no chunk unpacked, beyond this size."""
 
-_HEAD = struct.Struct("<BQ")
-_FOOTER = struct.Struct("<BQQQI")  # head, start of the summary, start of its offsets, CRC
+
+class Op(IntEnum):
+    """Kinds of records."""
+
+    HEADER = 1
+    FOOTER = 2
+    SCHEMA = 3
+    CHANNEL = 4
+    MESSAGE = 5
+    CHUNK = 6
+    MESSAGE_INDEX = 7
+    CHUNK_INDEX = 8
+    ATTACHMENT = 9
+    ATTACHMENT_INDEX = 10
+    STATISTICS = 11
+    METADATA = 12
+    METADATA_INDEX = 13
+    SUMMARY_OFFSET = 14
+    DATA_END = 15
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
-    """Where a whole record stands in its file; `start` is its opcode's, `end` the next record's."""
+SHORTEST = (0, 8, 20, 14, 16, 22, 40, 6, 64, 36, 48, 46, 8, 20, 17, 4)
+"""The least length of a record's content, by opcode. Opcode 0 is none: a hole in a file reads so."""
+PRIVATE = 128
+"""Opcodes from here on are other programs' own; those in between are of versions to come."""
+MESSAGE_HEAD_BYTES = HEAD.size + SHORTEST[Op.MESSAGE]
+
+
+class Damaged(ValueError):
+    """Bytes that are not what their place in the file says."""
+
+
+class Span(NamedTuple):
+    """Where a record stands in its file; `start` is its opcode's, `end` the next record's."""
 
     opcode: int
     start: int
     end: int
 
 
-def spans(file: IO[bytes], start: int, end: int) -> Iterator[Span]:
-    """Each whole record from one place in the file to another; stops at the first that does not fit."""
-    while start + _HEAD.size <= end:
-        file.seek(start)
-        opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-        if opcode == 0 or start + _HEAD.size + length > end:  # no record has opcode 0: a hole in the file, not a record
-            return
-        span = Span(opcode, start, start + _HEAD.size + length)
-        yield span
-        start = span.end
+class Fields:
+    """A record's content, taken field by field; Damaged where there is less than a field claims."""
+
+    __slots__ = ("_at", "_data")
+
+    def __init__(self, data: bytes, at: int = 0) -> None:
+        self._data, self._at = data, at
+
+    @property
+    def at(self) -> int:
+        return self._at
+
+    def take(self, size: int) -> bytes:
+        start, self._at = self._at, self._at + size
+        if self._at > len(self._data):
+            raise Damaged("a field goes beyond its record")
+        return self._data[start : self._at]
+
+    def number(self, size: int) -> int:
+        return int.from_bytes(self.take(size), "little")
+
+    def text(self) -> str:
+        """Bytes that are no UTF-8 are replaced: a name with a flipped bit still tells its messages apart."""
+        return self.take(self.number(4)).decode(errors="replace")
+
+    def pairs(self) -> Mapping[str, str]:
+        end = self.number(4) + self._at
+        out = {}
+        while self._at < end:
+            key = self.text()
+            out[key] = self.text()
+        return out
 
 
-def has_sound_summary(file: IO[bytes], size: int) -> bool:
-    """Whether the file ends as a finished one does, with a summary whose CRC, if it has one, is right."""
-    if size < len(MAGIC) + FOOTER_SIZE + len(MAGIC):
-        return False
-    file.seek(size - FOOTER_SIZE - len(MAGIC))
-    opcode, _, start, _, expected = _FOOTER.unpack(file.read(FOOTER_SIZE))
-    if file.read(len(MAGIC)) != MAGIC or opcode != Opcode.FOOTER or not 0 < start < size:
-        return False
-    file.seek(start)
-    checked = file.read(size - start - len(MAGIC) - 4)  # all but the CRC itself
-    return expected in (0, zlib.crc32(checked))
+@dataclass(frozen=True, slots=True)
+class Schema:
+    number: int
+    name: str
+    encoding: str
+    data: bytes
 
 
-def read(file: IO[bytes], span: Span) -> list[McapRecord]:
-    """What the record holds, a chunk's contents one by one; nothing for the kinds that no reader here needs.
+@dataclass(frozen=True, slots=True)
+class Channel:
+    number: int
+    schema: int
+    topic: str
+    encoding: str
+    metadata: Mapping[str, str]
 
-    Raises one of DAMAGE. CRCs of chunks are checked.
+
+@dataclass(frozen=True, slots=True)
+class ChunkHead:
+    """What a chunk says about itself. start: where its packed bytes begin, counted from its record's opcode."""
+
+    first_ns: int
+    last_ns: int
+    size: int
+    crc: int
+    compression: str
+    start: int
+    packed_size: int
+
+
+CHUNK_HEAD_BYTES = HEAD.size + 40 + 16  # and a compression's name of up to 16 bytes
+
+
+def parse_schema(content: bytes) -> Schema:
+    fields = Fields(content)
+    number, name, encoding = fields.number(2), fields.text(), fields.text()
+    return Schema(number, name, encoding, fields.take(fields.number(4)))
+
+
+def parse_channel(content: bytes) -> Channel:
+    fields = Fields(content)
+    return Channel(fields.number(2), fields.number(2), fields.text(), fields.text(), fields.pairs())
+
+
+def parse_metadata(content: bytes) -> tuple[str, Mapping[str, str]]:
+    fields = Fields(content)
+    return fields.text(), fields.pairs()
+
+
+def parse_chunk_head(record: bytes) -> ChunkHead:
+    """From the first CHUNK_HEAD_BYTES of a chunk's record, its opcode and length included.
+
+    Damaged where the record's length and that of the packed bytes contradict each other. Whether the opcode is a
+    chunk's is not asked: in a damaged file it may not be.
     """
-    file.seek(span.start + _HEAD.size)
-    content = file.read(span.end - span.start - _HEAD.size)
-    stream = ReadDataStream(BytesIO(content))
-    match span.opcode:
-        case Opcode.CHUNK:
-            return breakup_chunk(Chunk.read(stream), validate_crc=True)
-        case Opcode.MESSAGE:
-            return [Message.read(stream, len(content))]
-        case Opcode.CHANNEL:
-            return [Channel.read(stream)]
-        case Opcode.SCHEMA:
-            return [Schema.read(stream)]
-        case Opcode.METADATA:
-            return [Metadata.read(stream)]
-        case _:
-            return []
+    fields = Fields(record, 1)
+    length = fields.number(8)
+    first, last, size, crc = fields.number(8), fields.number(8), fields.number(8), fields.number(4)
+    name = fields.number(4)
+    if name > 16:
+        raise Damaged("a compression with a name of more than 16 bytes")
+    compression = fields.take(name).decode(errors="replace")
+    packed = fields.number(8)
+    if fields.at + packed > HEAD.size + length:
+        raise Damaged("a chunk's packed bytes go beyond it")
+    return ChunkHead(first, last, size, crc, compression, fields.at, packed)
+
+
+def message_index_count(record: bytes) -> int:
+    """How many messages a message index lists, from the first bytes of its record; Damaged if it is none."""
+    fields = Fields(record)
+    opcode, length = fields.number(1), fields.number(8)
+    fields.take(2)
+    entries = fields.number(4)
+    if opcode != Op.MESSAGE_INDEX or entries % 16 or entries + 6 > length:
+        raise Damaged("no message index")
+    return entries // 16
+
+
+def read_spans(file: IO[bytes], start: int, end: int) -> Iterator[Span]:
+    """The records from one place in the file to another. Damaged, at the first that is none, if they do not fill it."""
+    while start < end:
+        file.seek(start)
+        head = file.read(HEAD.size)
+        opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
+        following = start + HEAD.size + length
+        if not is_header(opcode, length) or following > end:
+            raise Damaged("no record")
+        yield Span(opcode, start, following)
+        start = following
+
+
+def is_header(opcode: int, length: int) -> bool:
+    """Whether a record may begin so. Opcodes of versions to come are taken for damage."""
+    return opcode >= PRIVATE or (0 < opcode < len(SHORTEST) and length >= SHORTEST[opcode])

@@ -1,0 +1,48 @@
+"""A recording of any format, by what is in it rather than by its name."""
+
+from pathlib import Path
+
+from fieldloc.errors import FieldlocError
+from logs.reader.mcap_container import McapContainer
+from logs.reader.records import MAGIC
+from logs.source import Container
+
+_BAG_MAGIC = b"#ROSBAG V"
+_SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+def open_container(path: str | Path) -> Container:
+    """An MCAP file, a ROS 1 bag, or a ROS 2 bag (its .db3 file or its folder). FieldlocError for anything else."""
+    path = Path(path)
+    if path.is_dir():
+        if (path / "metadata.yaml").exists():
+            return _open_bag(path)
+        raise FieldlocError(f"{path}: is a directory; give an MCAP file, a bag or the folder of a ROS 2 bag")
+    magic = _first_bytes(path)
+    if magic.startswith(MAGIC):
+        return McapContainer(path)
+    if magic.startswith((_BAG_MAGIC, _SQLITE_MAGIC)):
+        return _open_bag(path)
+    if not magic:
+        raise FieldlocError(f"{path}: empty; give an MCAP file or a ROS bag")
+    if MAGIC.startswith(magic):
+        raise FieldlocError(f"{path}: cut off within its first {len(MAGIC)} bytes")
+    raise FieldlocError(f"{path}: not an MCAP file (it does not begin with MCAP's magic number), nor a ROS bag")
+
+
+def _open_bag(path: Path) -> Container:
+    from logs.ros.bags import open_bag  # not for those who read MCAP
+
+    return open_bag(path)
+
+
+def _first_bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            if not file.seekable():
+                raise FieldlocError(f"{path}: cannot be read: a pipe, save it to a file first")
+            return file.read(16)
+    except FileNotFoundError:
+        raise FieldlocError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
+        raise FieldlocError(f"{path}: cannot be opened: {error}") from None
