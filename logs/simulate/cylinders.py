@@ -28,17 +28,17 @@ class Cylinders:
 def people_around(field: FieldMap, count: int, random: np.random.Generator) -> FloatArray:
     """(count, 2): somewhere beside the field, where they stay."""
     xmin, ymin, xmax, ymax = field.bounds
-    out = []
-    for _ in range(count):
-        outside = random.uniform(*_PERSON_OUTSIDE_M)
-        width, height = xmax - xmin, ymax - ymin
-        along = random.uniform(0.0, 2.0 * (width + height))
-        if along < 2.0 * width:
-            out.append([xmin + along % width, ymin - outside if along < width else ymax + outside])
-        else:
-            along -= 2.0 * width
-            out.append([xmin - outside if along < height else xmax + outside, ymin + along % height])
-    return np.array(out).reshape(-1, 2)
+    around = np.array([[xmin, ymin], [xmax, ymin], [xmax, ymax], [xmin, ymax]])
+    away = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    out = np.zeros((count, 2))
+    for person in out:
+        corners = around + random.uniform(*_PERSON_OUTSIDE_M) * away
+        sides = np.roll(corners, -1, axis=0) - corners
+        begins = np.concatenate([[0.0], np.cumsum(np.abs(sides).sum(axis=1))])
+        along = random.uniform(0.0, begins[-1])
+        side = int(np.searchsorted(begins[1:-1], along, side="right"))
+        person[:] = corners[side] + (along - begins[side]) / (begins[side + 1] - begins[side]) * sides[side]
+    return out
 
 
 def cylinders_of(field: FieldMap, people: FloatArray, others: FloatArray, settings: VisionSettings) -> Cylinders:

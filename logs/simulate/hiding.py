@@ -26,8 +26,7 @@ def hidden_part(
     cosine = np.sqrt(1.0 - sine**2)
     above = centres[:, 2] - settings.height_m
     looks_over = above > 0.0
-    top = (distance + settings.radius_m) * centres[:, 2] / np.where(looks_over, above, 1.0)
-    far = np.where(looks_over, top, np.inf)
+    far = (distance + settings.radius_m) * centres[:, 2] / np.where(looks_over, above, 1.0)
 
     def sides(points: FloatArray) -> list[FloatArray]:
         x, y = (points - centres[:, :2]).T
@@ -41,8 +40,7 @@ def hidden_part(
             before_far,
         ]
 
-    low, high = inside_half_spaces(list(zip(sides(start), sides(end), strict=True)))
-    return low, high
+    return inside_half_spaces(list(zip(sides(start), sides(end), strict=True)))
 
 
 def hidden_below(
