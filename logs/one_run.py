@@ -16,7 +16,7 @@ from logs.writer import METADATA
 
 
 def load_runs(results: Sequence[LogFile], truth: LogFile | None = None, field: FieldMap | None = None) -> LogResult:
-    """One run a file, named after its estimator; update times are unknown, and so is the total where the file is silent.
+    """One run a file, named after its estimator; update times are unknown, the total too where the file is silent.
 
     truth: the log that holds it; without one the results are searched, as one made with --merge has it. `field` stands
     in for the files' own. FieldlocError where a file has no estimates, or the truth's log no truth.

@@ -1,4 +1,4 @@
-"""The report of a comparison, or of one run: report.html, its pictures, metrics.json. The only room that knows matplotlib."""
+"""The report of a comparison or of one run: report.html, pictures, metrics.json. Only this room knows matplotlib."""
 
 import json
 import re

@@ -9,7 +9,7 @@ from fieldloc.pose import FloatArray
 from logs.evaluate import THREE_SIGMA_SHARE, Errors, chi_square_quantile
 from logs.metrics import Metrics
 from logs.report.style import INK, SOFT_INK, UNKNOWN, WIDTH_IN
-from logs.report.thinning import breaks, extremes
+from logs.thinning import breaks, extremes
 from logs.trajectory import Trajectory
 
 _BINS = 700  # stretches of time across a panel, a lowest and a highest value drawn for each

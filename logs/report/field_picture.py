@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fieldloc.field import FieldMap
 from logs.report.style import ELLIPSE, FIELD_LINE, INK, TRUTH, WIDTH_IN
-from logs.report.thinning import breaks, path
+from logs.thinning import breaks, path
 from logs.results import ScoredLog, ScoredRun
 from logs.trajectory import Trajectory
 
