@@ -7,8 +7,9 @@ from typing import NamedTuple
 from logs.foreign.parts import BadPart, Part
 from logs.ros import detections, motion, sensors
 from logs.ros.definitions import BadDefinition, Definitions, definitions
+from logs.ros.plan import Plan, plan
 from logs.ros.types import known_type, short_name
-from logs.ros.wire import CDR_BIG, CDR_LITTLE, ROS1, Plan, plan
+from logs.ros.wire import CDR_BIG, CDR_LITTLE, ROS1
 from logs.source import Source
 
 Builder = Callable[[Plan], Callable[[list[object]], Part]]

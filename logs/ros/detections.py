@@ -16,7 +16,7 @@ from fieldloc.pose import FloatArray
 from logs.foreign.parts import ImageDetectionsPart, Part, SpaceDetectionsPart
 from logs.ros.definitions import BadDefinition
 from logs.ros.motion import SECOND, stamp
-from logs.ros.wire import Plan
+from logs.ros.plan import Plan
 
 Values = list[object]
 _NO_NUMBERS = np.empty(0)

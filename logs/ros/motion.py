@@ -5,7 +5,7 @@ from operator import itemgetter
 
 from fieldloc.pose import FloatArray
 from logs.foreign.parts import OdometryPart, PosePart, Transform, Transforms, TwistPart
-from logs.ros.wire import Plan
+from logs.ros.plan import Plan
 
 SECOND = 1_000_000_000
 STAMP = ("header.stamp", "header.frame_id")

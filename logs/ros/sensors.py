@@ -6,7 +6,7 @@ from operator import itemgetter
 from fieldloc.pose import FloatArray
 from logs.foreign.parts import CameraPart, ImagePart, ImuPart, JointsPart, MagneticPart
 from logs.ros.motion import SECOND, stamp
-from logs.ros.wire import Plan
+from logs.ros.plan import Plan
 
 
 def imu(plan: Plan) -> Callable[[list[object]], ImuPart]:

@@ -1,0 +1,204 @@
+"""rosbag2's SQLite files, all versions. They are opened as what never changes: nothing is written beside them."""
+
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc.errors import FieldlocError
+from logs.ros.standard import standard_text
+from logs.ros.zstd import inflated
+from logs.source import Attachment, RawMessage, Source
+
+_UNFINISHED = ("-wal", "-journal")  # what SQLite has not yet put into the file itself
+_FURTHEST = 1 << 20  # rows skipped at once behind a broken page
+
+
+class SqliteBag:
+    """A `logs.source.Container`. path: the file; shown: what to call it, where it is the copy of another."""
+
+    def __init__(self, path: Path, shown: Path | None = None) -> None:
+        self.path = shown or path
+        self.metadata: Mapping[str, Mapping[str, str]] = {}
+        self._damage: list[str] = []
+        self._file = path
+        try:
+            if any(_size(path.with_name(path.name + end)) > 0 for end in _UNFINISHED):
+                self._copy = tempfile.TemporaryDirectory(prefix="fieldloc-")  # gone when this is
+                self._file = _with_its_rest(path, Path(self._copy.name))
+            with closing(self._connect()) as base:
+                self.sources = _sources(base)
+                self._rows: NDArray[np.int64] | None = None
+                try:
+                    self.counts, self.span_ns = _overview(base, self.sources)
+                except sqlite3.Error:
+                    self._salvage(base)
+        except (sqlite3.Error, OSError) as error:
+            raise FieldlocError(
+                f"{self.path}: cannot be read as a rosbag2 database: {error}; "
+                "`sqlite3 broken.db3 .recover | sqlite3 mended.db3` may save what is in it"
+            ) from None
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """What was found when it was opened, and since then while reading."""
+        return tuple(self._damage)
+
+    def attachments(self) -> Iterator[Attachment]:
+        return iter(())
+
+    def messages(
+        self, channels: Collection[int], start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RawMessage]:
+        """Log and publish time are the same: when the recorder received it."""
+        start, end = max(start_ns or 0, 0), min(_ALWAYS if end_ns is None else end_ns, _ALWAYS)
+        wanted = sorted(set(channels) & set(self.sources))
+        done = (start, -1)
+        with closing(self._connect()) as base:
+            if self._rows is None:
+                marks = ",".join("?" * len(wanted))
+                query = (
+                    "SELECT id, topic_id, timestamp, data FROM messages"
+                    f" WHERE topic_id IN ({marks}) AND timestamp >= ? AND timestamp < ? ORDER BY timestamp, id"
+                )
+                try:
+                    for row in base.execute(query, (*wanted, start, end)):
+                        if (message := _message(row)) is not None:
+                            yield message
+                            done = message.log_time_ns, row[0]
+                    return
+                except sqlite3.Error:
+                    self._salvage(base)
+            yield from self._saved(base, wanted, done, end)
+
+    def _saved(
+        self, base: sqlite3.Connection, wanted: list[int], done: tuple[int, int], end: int
+    ) -> Iterator[RawMessage]:
+        """Row by row what is left of a broken table, from the message behind `done` (its time and row) on."""
+        assert self._rows is not None
+        lost = 0
+        for time, row, channel in self._rows.tolist():
+            if (time, row) <= done or time >= end or channel not in wanted:
+                continue
+            try:
+                query = "SELECT id, topic_id, timestamp, data FROM messages WHERE id = ?"
+                message = _message(base.execute(query, (row,)).fetchone())
+            except sqlite3.Error:
+                message = None
+            if message is None or message.log_time_ns != time or message.channel != channel:
+                lost += 1
+            else:
+                yield message
+        if lost:
+            self._note(f"{lost} messages are broken and left out")
+
+    def _salvage(self, base: sqlite3.Connection) -> None:
+        """Note the time, row and channel of each row that can be reached."""
+        self._note("the database is broken; messages that it does not lead to any more are left out")
+        self._rows = _reachable(base, self.sources)
+        numbers, counts = np.unique(self._rows[:, 2], return_counts=True)
+        self.counts = dict.fromkeys(self.sources, 0) | dict(zip(numbers.tolist(), counts.tolist(), strict=True))
+        self.span_ns = (int(self._rows[0, 0]), int(self._rows[-1, 0])) if len(self._rows) else None
+
+    def _note(self, sentence: str) -> None:
+        if sentence not in self._damage:
+            self._damage.append(sentence)
+
+    def _connect(self) -> sqlite3.Connection:
+        try:
+            base = sqlite3.connect(f"file:{quote(str(self._file.absolute()))}?mode=ro&immutable=1", uri=True)
+        except sqlite3.Error as error:
+            raise FieldlocError(f"{self.path}: cannot be opened: {error}") from None
+        base.text_factory = lambda text: text.decode(errors="replace")
+        return base
+
+
+_ALWAYS = 2**63 - 1
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
+
+
+def _with_its_rest(path: Path, folder: Path) -> Path:
+    """A copy to which SQLite adds what a killed recorder left beside the file; the copy is what gets written to."""
+    for name in (path.name, *(path.name + end for end in _UNFINISHED)):
+        if path.with_name(name).exists():
+            shutil.copyfile(path.with_name(name), folder / name)
+    copy = folder / path.name
+    with closing(sqlite3.connect(copy)) as base:
+        base.execute("PRAGMA journal_mode=DELETE").fetchall()
+    return copy
+
+
+def _columns(base: sqlite3.Connection, table: str) -> set[str]:
+    return {str(row[1]) for row in base.execute(f"PRAGMA table_info({table})")}
+
+
+def _sources(base: sqlite3.Connection) -> Mapping[int, Source]:
+    columns = _columns(base, "topics")
+    if not {"id", "name", "type"} <= columns or not {"id", "topic_id", "timestamp", "data"} <= _columns(
+        base, "messages"
+    ):
+        raise sqlite3.DatabaseError("it has no tables of topics and messages")
+    defined: dict[str, tuple[str, bytes]] = {}
+    if _columns(base, "message_definitions") >= {"topic_type", "encoding", "encoded_message_definition"}:
+        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
+        for name, encoding, text in base.execute(query):
+            if encoding in ("ros2msg", "ros2idl") and isinstance(text, str):
+                defined.setdefault(str(name), (encoding, text.encode()))
+    optional = ("serialization_format", "offered_qos_profiles", "type_description_hash")
+    extra = [name if name in columns else "''" for name in optional]
+    sources = {}
+    for number, topic, name, encoding, qos, digest in base.execute(
+        f"SELECT id, name, type, {', '.join(extra)} FROM topics"
+    ):
+        schema_encoding, text = defined.get(str(name)) or standard_text(str(name))
+        said = {"offered_qos_profiles": str(qos)} | ({"topic_type_hash": str(digest)} if digest else {})
+        sources[int(number)] = Source(str(topic), str(encoding) or "cdr", str(name), schema_encoding, text, said)
+    return sources
+
+
+def _overview(base: sqlite3.Connection, sources: Mapping[int, Source]) -> tuple[dict[int, int], tuple[int, int] | None]:
+    query = (
+        "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp),"
+        " SUM(typeof(timestamp) != 'integer' OR timestamp < 0) FROM messages GROUP BY topic_id"
+    )
+    rows = [row for row in base.execute(query) if row[0] in sources]
+    if any(row[4] for row in rows):
+        raise sqlite3.DatabaseError("some times are no times")
+    counts = dict.fromkeys(sources, 0) | {row[0]: row[1] for row in rows}
+    return counts, (min(row[2] for row in rows), max(row[3] for row in rows)) if rows else None
+
+
+def _reachable(base: sqlite3.Connection, sources: Mapping[int, Source]) -> NDArray[np.int64]:
+    """(n, 3) time, row and channel of all rows that can be walked to, by time; broken stretches are stepped over."""
+    found: list[tuple[int, int, int]] = []
+    last, step = -1, 0
+    while step <= _FURTHEST:
+        try:
+            query = "SELECT id, topic_id, timestamp FROM messages WHERE id > ? ORDER BY id"
+            for row, channel, time in base.execute(query, (last + step,)):
+                if not isinstance(row, int) or row <= last:
+                    raise sqlite3.DatabaseError("rows out of order")
+                last, step = row, 0
+                if channel in sources and isinstance(time, int) and time >= 0:
+                    found.append((time, row, channel))
+            break
+        except sqlite3.Error:
+            step = max(2 * step, 1)
+    return np.array(sorted(found), np.int64).reshape(-1, 3)
+
+
+def _message(row: tuple[object, ...] | None) -> RawMessage | None:
+    """None where a broken page left something that is no message."""
+    match row:
+        case (int(), int() as channel, int() as time, bytes() as data) if time >= 0:
+            return RawMessage(channel, time, time, 0, inflated(data))
+    return None
