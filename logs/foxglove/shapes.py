@@ -34,7 +34,9 @@ _CIRCLE_SIDES = 96  # of a centre circle: a chord is off by 0.5 mm at 1.5 m
 _ELLIPSE_SIDES = 32  # off by 0.5 % of its half axes
 _UNIT = np.linspace(0.0, 2 * np.pi, _ELLIPSE_SIDES, endpoint=False)
 _UNIT_CIRCLE = np.stack([np.cos(_UNIT), np.sin(_UNIT)])
-_FAN_SIDES = 12
+_FAN_SIDES = 8
+_COARSE_BITS = 10
+_ROUNDING = 1e-9  # how negative, relatively, a variance may be that should be zero
 _POST_HEIGHT_M = 1.0  # maps are flat: KidSize's goals are 1.2 m high, SPL's 0.8 m
 _THIN_M = 0.05  # a landmark whose diameter the map does not tell
 _GROUND_MARGIN_M = 1.0
@@ -122,19 +124,30 @@ def labels(field: FieldMap) -> list[TextPrimitive]:
 
 def ellipses(covariances: FloatArray, sigmas: float = 3.0) -> FloatArray:
     """Outlines (n, 32, 2) of the covariances (n, 2, 2) about the origin; NaN where one is no covariance."""
-    finite = np.isfinite(covariances.reshape(-1, 4)).all(axis=1)
-    variances, directions = np.linalg.eigh(np.where(finite[:, None, None], covariances, np.eye(2)))
-    variances[~finite | (variances[:, 0] < 0.0)] = np.nan
-    half_axes = sigmas * directions * np.sqrt(variances)[:, None, :]
-    return np.swapaxes(half_axes @ _UNIT_CIRCLE, 1, 2)
+    unknown = np.flatnonzero(~np.isfinite(covariances.reshape(-1, 4)).all(axis=1))
+    finite = covariances.copy()
+    finite[unknown] = 0.0
+    variances, directions = np.linalg.eigh(finite)
+    variances[variances[:, 0] < -_ROUNDING * np.abs(variances[:, 1])] = np.nan
+    variances[unknown] = np.nan
+    half_axes = sigmas * directions * np.sqrt(np.maximum(variances, 0.0))[:, None, :]
+    return coarse(np.swapaxes(half_axes @ _UNIT_CIRCLE, 1, 2))
 
 
 def fans(headings_rad: FloatArray, sigmas_rad: FloatArray, length_m: float, sigmas: float = 3.0) -> FloatArray:
-    """Outlines (n, 14, 2) about the origin of where the robot may look, at most a whole circle; NaN if that is NaN."""
+    """Outlines (n, 10, 2) about the origin of where the robot may look, at most a whole circle; NaN if that is NaN."""
     half = np.minimum(sigmas * sigmas_rad, np.pi)
     angle = headings_rad[:, None] + half[:, None] * np.linspace(-1.0, 1.0, _FAN_SIDES + 1)
     arc = length_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return np.concatenate([np.zeros((len(arc), 1, 2)), arc], axis=1)
+    return coarse(np.concatenate([np.zeros((len(arc), 1, 2)), arc], axis=1))
+
+
+def coarse(shapes_m: FloatArray) -> FloatArray:
+    """Points (n, k, 2) of n shapes on a grid of a millimetre, or of 1/1024 of a smaller shape: nobody sees it, and
+    numbers with few digits take a third of the space in a compressed file."""
+    _, exponents = np.frexp(np.abs(shapes_m).max(axis=(1, 2), initial=0.0))
+    steps = np.ldexp(1.0, np.clip(exponents, -900, 0) - _COARSE_BITS)[:, None, None]
+    return np.asarray(np.round(shapes_m / steps) * steps)
 
 
 def loop(outline: FloatArray, pose: Pose, colour: Color, thickness_m: float) -> LinePrimitive:
@@ -143,9 +156,10 @@ def loop(outline: FloatArray, pose: Pose, colour: Color, thickness_m: float) -> 
 
 
 def segments(ends: FloatArray, colour: Color, thickness_m: float, z_m: float = 0.0) -> LinePrimitive:
-    """Lines between pairs of points (n, 2, 2)."""
+    """Lines between pairs of points (n, 2, 2), on a grid of a millimetre."""
     pose = flat_pose(0.0, 0.0, z_m=z_m)
-    return _line(LinePrimitiveLineType.LineList, ends.reshape(-1, 2), pose, colour, thickness_m)
+    on_grid = np.round(ends.reshape(-1, 2) * 2**_COARSE_BITS) / 2**_COARSE_BITS
+    return _line(LinePrimitiveLineType.LineList, on_grid, pose, colour, thickness_m)
 
 
 def _upright(position: FloatArray, z_m: float) -> Pose:

@@ -81,8 +81,7 @@ def _of_image(
     reach = towards * (_BEARING_LENGTH_M / np.linalg.norm(towards, axis=-1, keepdims=True))
     ends = se2.apply(field_from_robot, np.array([mount.x_m, mount.y_m]) + reach[np.isfinite(reach).all(axis=-1)])
     if len(ends):
-        bearings = np.stack([np.broadcast_to(eye, ends.shape), ends], axis=1)
-        lines.append(shapes.segments(bearings, shapes.PALE_BLUE, _RAY_M, _ABOVE_LINES_M))
+        lines.append(shapes.segments(_from(eye, ends), shapes.PALE_BLUE, _RAY_M, _ABOVE_LINES_M))
     pixels = np.array([line.ends_px for line in image.lines]).reshape(-1, 2)
     ground, visible = _on_the_ground(image, camera, pixels)
     both = visible.reshape(-1, 2).all(axis=1)
@@ -98,14 +97,20 @@ def _on_the_ground(image: ImageFeatures, camera: Camera, pixels: FloatArray) -> 
     return ground, mask & (np.linalg.norm(np.where(mask[:, None], ground, 0.0), axis=-1) < _FARTHEST_M)
 
 
+def _from(start: FloatArray, ends: FloatArray) -> FloatArray:
+    """Lines (n, 2, 2) from one point (2,) to others (n, 2)."""
+    lines = np.empty((len(ends), 2, 2))
+    lines[:, 0], lines[:, 1] = start, ends
+    return lines
+
+
 def _rays(
     start: FloatArray, seen: FloatArray, labels: Sequence[str | None], field: FieldMap | None
 ) -> list[LinePrimitive]:
     """From the sensor (2,) to what was seen (n, 2), and from there to where the map has it."""
     if not len(seen):
         return []
-    rays = np.stack([np.broadcast_to(start, seen.shape), seen], axis=1)
-    lines = [shapes.segments(rays, shapes.BLUE, _RAY_M, _ABOVE_LINES_M)]
+    lines = [shapes.segments(_from(start, seen), shapes.BLUE, _RAY_M, _ABOVE_LINES_M)]
     indices = [None if field is None or label is None else field.index_of(label) for label in labels]
     named = [row for row, index in enumerate(indices) if index is not None]
     if field is not None and named:
