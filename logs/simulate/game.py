@@ -20,6 +20,7 @@ from logs.simulate.walk import Walk, take_walk
 
 BEGIN_NS = 1_000_000_000
 """The first sample's stamp. Not 0, which some viewers take for a missing stamp."""
+_SMALLEST_M, _LARGEST_M = 1.0, 200.0
 
 # One stream of random numbers each, so that no part's numbers depend on another's. New ones go to the end.
 _PARTS = (
@@ -59,8 +60,12 @@ def play(scenario: Scenario, field: FieldMap, seed: int) -> Game:
     """FieldlocError where nobody could walk about on the field."""
     s = scenario
     bounds = field.bounds
-    if min(bounds[2] - bounds[0], bounds[3] - bounds[1]) < 1.0:
-        raise FieldlocError(f"field {field.name}: measures less than 1 m, too small to walk about on")
+    sides_m = bounds[2] - bounds[0], bounds[3] - bounds[1]
+    if min(sides_m) < _SMALLEST_M or max(sides_m) > _LARGEST_M:
+        raise FieldlocError(
+            f"field {field.name}: measures {sides_m[0]:g} x {sides_m[1]:g} m; a game needs {_SMALLEST_M:g} to "
+            f"{_LARGEST_M:g} m"
+        )
     seeds = np.random.SeedSequence(seed).spawn(len(_PARTS))
     random = {part: np.random.default_rng(own) for part, own in zip(_PARTS, seeds, strict=True)}
 

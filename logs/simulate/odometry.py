@@ -14,6 +14,7 @@ from logs.simulate.walk import Walk
 
 _MAX_JITTER = 0.4  # of a period: messages stay in order
 _BUMP_S = 0.4
+_ROUNDING = 1e-12  # metres: nobody moved
 
 
 class Calibration(NamedTuple):
@@ -106,7 +107,9 @@ def _tangents(stamps_ns: NDArray[np.int64], velocities: FloatArray, ticks_ns: ND
     at = np.minimum((ticks_ns - stamps_ns[0]) // SAMPLE_NS, len(stamps_ns) - 1)
     since_s = (ticks_ns - stamps_ns[at]) * 1e-9
     at_ticks = se2.compose(poses[at], se2.exp(velocities[at] * since_s[:, None]))
-    return se2.local(at_ticks[:-1], at_ticks[1:])
+    moved = se2.local(at_ticks[:-1], at_ticks[1:])
+    moved[np.abs(moved).max(axis=1) < _ROUNDING] = 0.0
+    return moved
 
 
 def _fooled(walk: Walk) -> FloatArray:
