@@ -1,4 +1,4 @@
-"""A viewer for tests: the client's side of RFC 6455 and of the Foxglove WebSocket protocol, as far as they are needed."""
+"""A viewer for tests: the client's side of RFC 6455 and of the Foxglove WebSocket protocol, as far as needed."""
 
 import base64
 import json

@@ -1,6 +1,7 @@
 """A page that plays a result in a browser: one HTML file with everything inside it, nothing loaded from elsewhere."""
 
 import json
+import re
 import webbrowser
 from collections.abc import Sequence
 from html import escape
@@ -34,12 +35,10 @@ def write_page(path: Path, result: LogResult, seen: Seen | None = None, limits: 
         (folder / name).read_text(encoding="utf-8") for name in ("player.css", "player.js", "player.html")
     )
     parts = {"title": escape(title), "style": style, "data": text.replace("<", "\\u003c"), "player": player}
-    for name, part in parts.items():
-        before, after = frame.split("{{" + name + "}}")
-        frame = before + part + after
+    page = re.sub(r"\{\{(\w+)\}\}", lambda slot: parts[slot[1]], frame)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_text(path) as file:
-        file.write(frame)
+        file.write(page)
 
 
 def load_view(logs: Sequence[LogFile], truth: LogFile | None = None, field: FieldMap | None = None) -> LogResult:

@@ -327,7 +327,7 @@ function drawEllipse(pen, now, X, Y, scale, colour) {
   pen.beginPath();
   pen.ellipse(X(now.pose[0]), Y(now.pose[1]), scale * shape.a, scale * shape.b, -shape.angle, 0, 7);
   pen.fillStyle = pen.strokeStyle = colour;
-  pen.globalAlpha = 0.16;
+  pen.globalAlpha = scale * shape.a < 150 ? 0.16 : 0.05; // a large one is not to hide the rest
   pen.fill();
   pen.globalAlpha = 0.9;
   pen.lineWidth = 1.2;
@@ -366,18 +366,33 @@ const LEFT = 64, RIGHT = 10, PANEL = 74, GAP = 17, FOOT = 17;
 const scored = runs.filter((run) => run.errors);
 const panels = PANELS.filter((panel) => scored.some((run) => run.errors.width > panel.column));
 
-/** The largest value a panel shows: what the followed run needs. A start in the dark, and a run that is far worse, may
- * leave it. */
-function limit(panel) {
+/** The run that a panel is made for: the followed one, if it can be. */
+function leading(panel) {
   const has = (run) => run && run.shown && run.errors && run.errors.width > panel.column;
-  const run = has(runs[state.followed]) ? runs[state.followed] : scored.find(has);
+  return has(runs[state.followed]) ? runs[state.followed] : scored.find(has);
+}
+
+/** The largest value a panel shows. A start in the dark, and runs that are far worse, may leave it. */
+function limit(panel, run) {
   if (!run) return panel.log ? 4 * data.nees_line : 1;
   const all = [];
   for (let i = panel.column; i < run.errors.rows.length; i += run.errors.width)
     if (isFinite(run.errors.rows[i])) all.push(panel.scale * run.errors.rows[i]);
   all.sort((a, b) => a - b);
   const most = all[all.length - 1] || 0, usual = all[Math.floor(0.99 * (all.length - 1))] || 0;
-  return panel.log ? Math.max(1.5 * most, 4 * data.nees_line) : 1.1 * Math.max(Math.min(most, 2.5 * usual), 1e-6);
+  if (panel.log) return Math.max(1.5 * most, 4 * data.nees_line);
+  const error = Math.max(Math.min(most, 2.5 * usual), 1e-6);
+  return 1.1 * Math.max(error, Math.min(usualBand(run, panel), 3 * error));
+}
+
+/** How high the 3 sigma band is most of the time. */
+function usualBand(run, panel) {
+  if (run.errors.width <= panel.sigma) return 0;
+  const all = [];
+  for (let i = panel.sigma; i < run.errors.rows.length; i += run.errors.width)
+    if (isFinite(run.errors.rows[i])) all.push(3 * panel.scale * run.errors.rows[i]);
+  all.sort((a, b) => a - b);
+  return all[Math.floor(0.98 * (all.length - 1))] || 0;
 }
 
 const stripsHeight = () => (panels.length ? panels.length * (PANEL + GAP) + FOOT : 26);
@@ -393,7 +408,8 @@ function drawPanels(pen, width) {
   const X = (t) => LEFT + ((width - LEFT - RIGHT) * t) / (data.duration_s || 1);
   pen.font = FONT;
   panels.forEach((panel, k) => {
-    const top = GAP + k * (PANEL + GAP), bottom = top + PANEL, most = limit(panel);
+    const leader = leading(panel);
+    const top = GAP + k * (PANEL + GAP), bottom = top + PANEL, most = limit(panel, leader);
     const low = Math.log(0.02);
     const Y = panel.log
       ? (v) => bottom - (PANEL * (Math.log(Math.min(Math.max(v, 0.02), 1e30)) - low)) / (Math.log(most) - low)
@@ -402,7 +418,7 @@ function drawPanels(pen, width) {
     pen.fillRect(LEFT, top, width - LEFT - RIGHT, PANEL);
     pen.fillStyle = style.soft;
     pen.textAlign = "left";
-    pen.fillText(panel.title + (panel.log ? "   dashed: 99.73 % quantile" : "   shaded: 3σ as claimed"), LEFT, top - 5);
+    pen.fillText(panel.title + legend(panel, leader), LEFT, top - 5);
     pen.textAlign = "right";
     for (const v of ticks(panel, most)) {
       pen.fillStyle = style.line;
@@ -415,7 +431,7 @@ function drawPanels(pen, width) {
     pen.rect(LEFT, top, width - LEFT - RIGHT, PANEL);
     pen.clip();
     for (const run of shown())
-      if (run.errors && run.errors.width > panel.column) drawCurve(pen, run, panel, X, Y, bottom);
+      if (run.errors && run.errors.width > panel.column) drawCurve(pen, run, leader, panel, X, Y, bottom);
     if (panel.log) {
       pen.strokeStyle = style.ink;
       pen.lineWidth = 1;
@@ -434,6 +450,11 @@ function drawPanels(pen, width) {
   for (let t = 0; t <= data.duration_s; t += step) pen.fillText(short(t), Math.max(X(t), 20), stripsHeight() - 4);
 }
 
+function legend(panel, leader) {
+  if (panel.log) return "   dashed: 99.73 % quantile";
+  return leader && leader.errors.width > panel.sigma ? `   shaded: 3σ as claimed by ${leader.name}` : "";
+}
+
 function ticks(panel, most) {
   if (panel.log) return [0.1, 1, 10, 100, 1e3, 1e4, 1e6].filter((v) => v < most);
   const rough = most / 2, power = 10 ** Math.floor(Math.log10(rough));
@@ -441,7 +462,8 @@ function ticks(panel, most) {
   return [0, 1, 2, 3, 4].map((i) => i * step).filter((v) => v < most);
 }
 
-function drawCurve(pen, run, panel, X, Y, bottom) {
+/** scale: the run whose band is drawn. */
+function drawCurve(pen, run, scale, panel, X, Y, bottom) {
   const { t, rows, width } = run.errors;
   const gap = run.path.gap;
   const curve = (column, factor) => {
@@ -456,7 +478,7 @@ function drawCurve(pen, run, panel, X, Y, bottom) {
     }
   };
   pen.strokeStyle = pen.fillStyle = run.shade;
-  if (panel.sigma !== null && width > panel.sigma) {
+  if (run === scale && panel.sigma !== null && width > panel.sigma) {
     pen.globalAlpha = 0.14;
     pen.beginPath();
     for (let i = 0; i + 1 < t.length; i++) {

@@ -39,7 +39,8 @@ class ServeOptions:
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a viewer finds the server: the WebSocket itself, and links that open a viewer on it."""
+    """Where a viewer finds the server: the WebSocket itself, and links that open Foxglove (in a browser) and Lichtblick
+    (the program, as an argument or a link) on it. Lichtblick understands the protocol since the end of 2025."""
 
     websocket: str
     foxglove: str
@@ -114,6 +115,4 @@ def _address(host: str, port: int) -> Address:
     reachable = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     websocket = f"ws://{reachable}:{port}"
     query = f"?ds=foxglove-websocket&ds.url={quote(websocket, safe='')}"
-    return Address(
-        websocket, f"https://app.foxglove.dev/{query}", f"https://lichtblick-suite.github.io/lichtblick/{query}"
-    )
+    return Address(websocket, f"https://app.foxglove.dev/{query}", f"lichtblick://open{query}")
