@@ -20,7 +20,11 @@ def stamp(plan: Plan, path: str = "header.stamp") -> tuple[int, int]:
 
 def known(covariance: FloatArray) -> FloatArray | None:
     """(36,) row by row, as (6, 6). None for zeros, which is ROS's word for unknown, and where there is NaN."""
-    return covariance.reshape(6, 6) if covariance.dot(covariance) > 0 else None
+    numbers = (
+        covariance.tolist()
+    )  # sums and all on Python's numbers: numpy's overhead is more, and it warns of infinity
+    total = sum(numbers)
+    return covariance.reshape(6, 6) if any(numbers) and total == total else None
 
 
 def odometry(plan: Plan) -> Callable[[list[object]], OdometryPart]:

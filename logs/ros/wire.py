@@ -51,8 +51,8 @@ class Number:
         return struct.calcsize("<" + CODES[self.type])
 
 
-def _cut_off() -> BadPart:
-    return BadPart("it is shorter than its definition says")
+def _misfit() -> BadPart:
+    return BadPart("it does not fit its definition")
 
 
 def block(wire: Wire, kind: str, count: int) -> Step:
@@ -65,7 +65,7 @@ def block(wire: Wire, kind: str, count: int) -> Step:
         position = ((position - 4 + back) & mask) + 4
         end = position + size
         if end > len(data):
-            raise _cut_off()
+            raise _misfit()
         array = np.frombuffer(data[position:end], dtype)
         out.append(array if native else array.astype(np.float64))
         return end
@@ -120,7 +120,9 @@ def _length(wire: Wire) -> Callable[[bytes, int], tuple[int, int]]:
 
 
 def text(wire: Wire, wanted: bool) -> Step:
+    """A string. CDR counts its closing zero; some writers pad with more, some count nothing for an empty one."""
     unpack = struct.Struct(wire.order + "I").unpack_from
+    closed = wire.aligned
     back = 3 if wire.aligned else 0
     mask = ~back
 
@@ -129,9 +131,9 @@ def text(wire: Wire, wanted: bool) -> Step:
         (length,) = unpack(data, position)
         position += 4
         end: int = position + length
-        if end > len(data):
-            raise _cut_off()
-        if wanted:  # CDR counts the closing zero; some writers leave it out, or pad with more
+        if end > len(data) or (closed and length and data[end - 1]):
+            raise _misfit()
+        if wanted:
             out.append(data[position:end].rstrip(b"\0").decode())
         return end
 
@@ -144,7 +146,7 @@ def texts(wire: Wire, count: int, wanted: bool) -> Step:
     def step(data: bytes, position: int, out: list[object]) -> int:
         number, position = length(data, position) if count == SEQUENCE else (count, position)
         if number * 4 > len(data) - position:
-            raise _cut_off()
+            raise _misfit()
         found: list[object] = []
         for _ in range(number):
             position = one(data, position, found)
@@ -170,7 +172,7 @@ def array(wire: Wire, kind: str, wanted: bool) -> Step:
             position = ((position - 4 + back) & ~back) + 4
         end = position + count * size
         if end > len(data):
-            raise _cut_off()
+            raise _misfit()
         if wanted:
             raw = data[position:end]
             out.append(raw if dtype is None else np.frombuffer(raw, dtype).astype(np.float64))
@@ -189,7 +191,7 @@ def messages(wire: Wire, steps: Sequence[Step], least: int, count: int, wanted: 
     def step(data: bytes, position: int, out: list[object]) -> int:
         number, position = length(data, position) if count == SEQUENCE else (count, position)
         if number * least > len(data) - position:
-            raise _cut_off()
+            raise _misfit()
         rows: list[object] = []
         for _ in range(number if least else 0):
             row: list[object] = []
