@@ -1,35 +1,85 @@
 """Trajectories to logs and back: what `run` and `smooth` write and `evaluate` and `export` read."""
 
-from collections.abc import Mapping
+import heapq
+from collections.abc import Iterable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
+
+import numpy as np
 
 from estimators.base import Estimate
 from fieldloc.errors import FieldlocError
-from fieldloc.field import FieldMap
 from fieldloc.measurements import Truth
+from logs import result_streams
+from logs.foxglove.topics import BESIDE_OTHERS, Frames
+from logs.odom import odom_from_robot
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
 from logs.replay import Recording, Replay
 from logs.schema import topic_of
+from logs.source import Container, Encoded, RawMessage, Source
 from logs.trajectory import Trajectory, from_estimates, from_truth
-from logs.writer import LogWriter
+from logs.writer import METADATA, LogWriter
 
 _PROGRESS_EVERY = 500
+_FOXGLOVE_NS = range(2**32 * 1_000_000_000)  # the stamps that Foxglove's messages hold
+
+_Item = tuple[int, Source, RawMessage | Encoded]
 
 
 def write_estimates(
-    path: Path, recording: Recording, done: Replay, metadata: Mapping[str, str], progress: Progress = unwatched
-) -> None:
-    """The map and the estimates. FieldlocError where the file cannot be written or an estimate is none."""
+    path: Path,
+    recording: Recording,
+    done: Replay,
+    metadata: Mapping[str, str],
+    progress: Progress = unwatched,
+    merge: Container | None = None,
+    ros2: bool = False,
+    offset_ns: int = 0,
+) -> tuple[str, ...]:
+    """The map and the estimates, for fieldloc, for Foxglove and Lichtblick, and with `ros2` for ROS 2.
+
+    merge: a log whose messages go into the file too, as they are, but for earlier results. offset_ns: how much later
+    than the stamps the log times are (`result_streams.clock_offset_ns`). Returns what could not be written, a
+    sentence each. FieldlocError where the file cannot be written or an estimate is none.
+    """
+    estimates, warnings = done.estimates, []
+    stamps_ns = np.array([estimate.stamp_ns for estimate in estimates], dtype=np.int64)
+    odom = odom_from_robot(recording.measurements, stamps_ns)
+    begin_ns = recording.measurements[0].stamp_ns + offset_ns
+    if merge is not None and merge.span_ns is not None:
+        begin_ns = min(begin_ns, merge.span_ns[0])
+    streams = [result_streams.own_messages(recording, estimates, begin_ns, offset_ns)]
+    others = merge is not None and result_streams.has_transforms(merge)
+    if all(m.stamp_ns in _FOXGLOVE_NS for m in (recording.measurements[0], recording.measurements[-1], *estimates)):
+        frames = BESIDE_OTHERS if ros2 or others else Frames()
+        streams += result_streams.foxglove_streams(recording, estimates, odom, begin_ns, offset_ns, frames)
+    else:
+        warnings.append(f"{path}: without messages for Foxglove, whose stamps end with the year 2106")
+    streams = [_or_fail(stream, f"{path}: not written: the estimator gave a broken estimate") for stream in streams]
+    if ros2:
+        stream = result_streams.ros2_stream(estimates, odom, offset_ns, others)
+        streams.append(_or_fail(stream, f"{path}: not written: no ROS 2 messages can be made"))
+    total = len(estimates)
+    items = [_items(stream) for stream in streams]
+    if merge is not None:
+        total += sum(merge.counts.get(number, 0) for number in result_streams.kept_channels(merge))
+        items.insert(0, _kept_items(merge))
     with LogWriter(path, metadata) as log:
-        log.write(topic_of(FieldMap), recording.field, recording.measurements[0].stamp_ns)
-        for i, estimate in enumerate(done.estimates):
-            try:
-                log.write(topic_of(Estimate), estimate)
-            except ValueError as error:
-                raise FieldlocError(f"{path}: not written: the estimator gave a broken estimate: {error}") from error
-            if i % _PROGRESS_EVERY == 0:
-                progress(i, len(done.estimates), "writing")
+        if merge is not None:
+            _keep_rest(log, merge)
+        counted = 0
+        for _, source, message in heapq.merge(*items, key=itemgetter(0)):
+            if isinstance(message, RawMessage):
+                log.write_raw(source, message.log_time_ns, message.data, message.publish_time_ns, message.sequence)
+            else:
+                log.add_encoded(message)
+                if source.topic != topic_of(Estimate):
+                    continue
+            if counted % _PROGRESS_EVERY == 0:
+                progress(counted, total, "writing")
+            counted += 1
+    return tuple(warnings)
 
 
 def read_estimates(log: LogFile) -> Trajectory:
@@ -47,3 +97,32 @@ def read_truth(log: LogFile) -> Trajectory:
     if not len(trajectory):
         raise FieldlocError(f"{log.path}: no usable message on {log.roles['truth']}; give a log that holds the truth")
     return trajectory
+
+
+def _items(stream: Iterable[Encoded]) -> Iterator[_Item]:
+    return ((message.log_time_ns, message.source, message) for message in stream)
+
+
+def _kept_items(merge: Container) -> Iterator[_Item]:
+    return ((message.log_time_ns, source, message) for source, message in result_streams.kept_messages(merge))
+
+
+def _or_fail(stream: Iterator[Encoded], what: str) -> Iterator[Encoded]:
+    try:
+        yield from stream
+    except ValueError as error:
+        raise FieldlocError(f"{what}: {error}") from error
+
+
+def _keep_rest(log: LogWriter, merge: Container) -> None:
+    """Channels, also those without messages, files and metadata of the input; its own record of how it was made is
+    renamed, as the result has one."""
+    for number in result_streams.kept_channels(merge):
+        log.add_source(merge.sources[number])
+    for name, mapping in merge.metadata.items():
+        renamed = f"{METADATA} ({merge.path.name})"
+        while renamed in merge.metadata:
+            renamed += "+"
+        log.add_metadata(renamed if name == METADATA else name, mapping)
+    for attachment in merge.attachments():
+        log.attach(attachment)

@@ -300,7 +300,7 @@ VALUES = st.recursive(
 
 
 @given(schema=st.sampled_from(list(KINDS)), values=st.dictionaries(KEYS, VALUES))
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=100)
 def test_json_of_any_kind_gives_a_part_or_a_bad_part(schema, values):
     decode = decoder(Source("/x", "json", schema, "jsonschema", b"{}"))
     with suppress(BadPart):

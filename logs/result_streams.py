@@ -1,0 +1,146 @@
+"""What a result file is made of: streams of messages in the order of log time, to be merged by it.
+
+offset_ns: log time minus stamp, where the log's clock is not that of the stamps (`clock_offset_ns`).
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
+
+import numpy as np
+
+from estimators.base import Estimate
+from fieldloc.measurements import Compass, ImageFeatures, LandmarkScan, Odometry
+from fieldloc.pose import FloatArray
+from logs.foxglove.topics import BESIDE_OTHERS, PREFIX, Frames
+from logs.reader import LogFile
+from logs.replay import Recording
+from logs.schema import BY_KIND, BY_NAME, MESSAGE_ENCODING, SCHEMA_ENCODING, TOPICS, Record, encode, topic_of
+from logs.source import Container, Encoded, RawMessage, Source
+
+_TRANSFORMS = (
+    "foxglove.FrameTransform",
+    "foxglove.FrameTransforms",
+    "tf/tfMessage",
+    "tf2_msgs/TFMessage",
+    "tf2_msgs/msg/TFMessage",
+)
+_SAMPLES = 100  # of each kind of measurement, to compare clocks
+_SAME_CLOCK_NS = 1_000_000_000  # a message's way to the log is shorter
+
+
+def clock_offset_ns(log: LogFile) -> int:
+    """The median of log time minus stamp over the first measurements; 0 where that is no more than their way to the
+    log (a second). Results that are merged into the log are shifted by it, or they would stand beside it."""
+    offsets: list[int] = []
+    for kind in (Odometry, ImageFeatures, LandmarkScan, Compass):
+        if log.has(kind):
+            messages = islice(log.messages([log.roles[BY_KIND[kind].role]]), _SAMPLES)
+            records = [(message.log_time_ns, message.record) for message in messages]
+            offsets += [logged_ns - record.stamp_ns for logged_ns, record in records if isinstance(record, kind)]
+    if not offsets:
+        return 0
+    median_ns = sorted(offsets)[len(offsets) // 2]
+    return median_ns if abs(median_ns) > _SAME_CLOCK_NS else 0
+
+
+def kept_channels(merge: Container) -> list[int]:
+    """All but earlier results and a map of fieldloc's, whose place the map takes that the estimates were made on."""
+    return [number for number, source in merge.sources.items() if not _is_result(source)]
+
+
+def _is_result(source: Source) -> bool:
+    if source.topic == TOPICS["field"]:
+        return source.schema_name in BY_NAME
+    return source.topic == TOPICS["estimate"] or source.topic.startswith(PREFIX)
+
+
+def has_transforms(merge: Container) -> bool:
+    """Whether what stays of the input holds transforms: frames of the same name must not get a second parent."""
+    return any(merge.sources[number].schema_name in _TRANSFORMS for number in kept_channels(merge))
+
+
+def kept_messages(merge: Container) -> Iterator[tuple[Source, RawMessage]]:
+    """What stays of the input, byte by byte."""
+    sources = merge.sources
+    for message in merge.messages(kept_channels(merge)):
+        yield sources[message.channel], message
+
+
+def own_messages(
+    recording: Recording, estimates: Sequence[Estimate], begin_ns: int, offset_ns: int
+) -> Iterator[Encoded]:
+    """The map and the estimates as fieldloc reads them. ValueError for an estimate that no reader would accept."""
+    yield Encoded(own_source(recording.field), begin_ns, encode(recording.field))
+    source: Source | None = None
+    for estimate in estimates:
+        source = source or own_source(estimate)
+        yield Encoded(source, int(estimate.stamp_ns) + offset_ns, encode(estimate))
+
+
+def own_source(record: Record) -> Source:
+    """The usual channel of such records."""
+    schema = BY_KIND[type(record)]
+    return Source(topic_of(type(record)), MESSAGE_ENCODING, schema.name, SCHEMA_ENCODING, schema.text.encode())
+
+
+def foxglove_streams(
+    recording: Recording,
+    estimates: Sequence[Estimate],
+    odom_from_robot: FloatArray,
+    begin_ns: int,
+    offset_ns: int,
+    frames: Frames,
+) -> list[Iterator[Encoded]]:
+    """What Foxglove and Lichtblick draw of it. ValueError for an estimate of a wrong shape."""
+    from logs.foxglove.results import estimates_messages
+
+    return [
+        _at_the_beginning(recording, estimates, begin_ns, frames),
+        _shifted(estimates_messages(estimates, odom_from_robot, frames), offset_ns),
+        _shifted(_sights(recording, estimates, frames), offset_ns),
+    ]
+
+
+def _at_the_beginning(
+    recording: Recording, estimates: Sequence[Estimate], begin_ns: int, frames: Frames
+) -> Iterator[Encoded]:
+    """Map and trajectory, to be seen from the first moment on."""
+    from logs.foxglove.results import field_messages, trajectory_messages
+
+    first_ns = int(estimates[0].stamp_ns)
+    yield from (m._replace(log_time_ns=begin_ns) for m in field_messages(recording.field, first_ns, frames))
+    yield from (m._replace(log_time_ns=begin_ns) for m in trajectory_messages(estimates, first_ns, frames))
+
+
+def ros2_stream(
+    estimates: Sequence[Estimate], odom_from_robot: FloatArray, offset_ns: int, beside_others: bool
+) -> Iterator[Encoded]:
+    """What ROS 2 tools know. ValueError where its stamps end, in 2038.
+
+    beside_others: the file has someone else's transforms, so that ours must not name the same frames.
+    """
+    from logs.ros.results import Frames, ros2_messages
+
+    frames = Frames("map", *BESIDE_OTHERS[1:]) if beside_others else Frames()
+    for estimate, odom in zip(estimates, odom_from_robot, strict=True):
+        yield from _shifted(ros2_messages(estimate, odom, frames), offset_ns)
+
+
+def _sights(recording: Recording, estimates: Sequence[Estimate], frames: Frames) -> Iterator[Encoded]:
+    """From the newest estimate at each scan or image; rays at most ten times a second, annotations always."""
+    from logs.foxglove.results import measurement_messages
+    from logs.foxglove.throttle import Throttle
+
+    stamps_ns = np.array([estimate.stamp_ns for estimate in estimates], dtype=np.int64)
+    throttle = Throttle()
+    for measurement in recording.measurements:
+        if not isinstance(measurement, (LandmarkScan, ImageFeatures)):
+            continue
+        newest = int(np.searchsorted(stamps_ns, measurement.stamp_ns, side="right")) - 1
+        pose = estimates[newest].pose if newest >= 0 and throttle.passes(measurement.stamp_ns) else None
+        yield from measurement_messages(measurement, pose, recording.camera, recording.field, frames)
+
+
+def _shifted(messages: Iterable[Encoded], offset_ns: int) -> Iterator[Encoded]:
+    for message in messages:
+        yield message._replace(log_time_ns=message.log_time_ns + offset_ns) if offset_ns else message
