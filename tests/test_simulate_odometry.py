@@ -93,14 +93,14 @@ def test_steps_slip_by_their_share_and_nothing_slips_at_standstill() -> None:
     per_step = shares[first]
     np.testing.assert_allclose(shares, per_step[np.searchsorted(np.unique(step[straight]), step[straight])], atol=1e-6)
     # about 1000 steps: standard errors 0.03 of the mean and 0.022 of the deviation, four of each
-    assert 700 < len(per_step)
+    assert len(per_step) > 700
     assert abs(np.mean(per_step)) < 0.13
     assert abs(np.std(per_step) - 1.0) < 0.1
     assert abs(np.corrcoef(per_step[:-1], per_step[1:])[0, 1]) < 0.15
     # the turn slips by the way; its own share adds nothing where the robot hardly turns
     ahead = straight & (np.abs(true[:, 2]) < 1e-9)
     per_metre = (said[ahead, 2] / true[ahead, 0])[np.unique(step[ahead], return_index=True)[1]]
-    assert 100 < len(per_metre)
+    assert len(per_metre) > 100
     assert abs(np.std(per_metre) / 0.2 - 1.0) < 4.0 / np.sqrt(2 * len(per_metre))
 
 
