@@ -45,7 +45,7 @@ def read_chunk(file: IO[bytes], start: int, end: int) -> tuple[bytes, Walk]:
 
 def read_cut_chunk(file: IO[bytes], start: int, size: int) -> tuple[bytes, Walk]:
     """The whole records at the beginning of a chunk that the end of the file cuts; unchecked."""
-    head = cut_head(file, start, size)
+    head = cut_head(file, start, size, padded=True)
     if head is None or size - start > LIMIT_BYTES:
         return b"", Walk([], [], 0, False)
     file.seek(start + head.start)
@@ -53,8 +53,11 @@ def read_cut_chunk(file: IO[bytes], start: int, size: int) -> tuple[bytes, Walk]
     return content, walk(content)
 
 
-def cut_head(file: IO[bytes], start: int, size: int) -> ChunkHead | None:
-    """The head of a chunk that goes beyond the file's end; None where it is not there, or no chunk's."""
+def cut_head(file: IO[bytes], start: int, size: int, *, padded: bool = False) -> ChunkHead | None:
+    """The head of a chunk that goes beyond the file's end; None where it is not there, or no chunk's.
+
+    padded: also where the record is longer than it needs to be. Without that, two lengths bear each other out.
+    """
     file.seek(start)
     record = file.read(CHUNK_HEAD_BYTES)
     try:
@@ -62,7 +65,9 @@ def cut_head(file: IO[bytes], start: int, size: int) -> ChunkHead | None:
         check_size(head)
     except Damaged:
         return None
-    return head if record[0] == Op.CHUNK and start + head.start <= size else None
+    opcode, length = HEAD.unpack_from(record)
+    whole = padded or head.start + head.packed_size == HEAD.size + length
+    return head if opcode == Op.CHUNK and whole and start + head.start <= size else None
 
 
 def lost_chunk(file: IO[bytes], start: int, end: int, size: int, why: str) -> Lost:

@@ -21,13 +21,12 @@ class Lost:
 class Cut:
     """A file without its end.
 
-    left_bytes: after the last whole record. indexed: all messages are there, only what comes after them is not.
-    chunk_end_ns: the end of a chunk that is cut itself, by its own word. unchecked: messages read from that chunk.
+    indexed: all messages are there, only what comes after them is not.
+    chunk_ns: when a chunk that is cut itself begins and ends, by its own word. unchecked: messages read from it.
     """
 
-    left_bytes: int
     indexed: bool = False
-    chunk_end_ns: int | None = None
+    chunk_ns: tuple[int, int] | None = None
     unchecked: int = 0
 
 
@@ -108,17 +107,17 @@ def _covered(spans: list[tuple[int, int]]) -> int:
 def _cut(cut: Cut, span_ns: tuple[int, int] | None, messages: int) -> str:
     if cut.indexed:
         return f"the index at the end is cut off; all {times(messages, 'message')} are there"
-    head = "cut off (or still being written)"
-    chunk = None
-    if cut.chunk_end_ns is not None:
-        chunk = _plausible((span_ns[1] if span_ns else cut.chunk_end_ns, cut.chunk_end_ns), span_ns)
+    what = "cut off (or still being written)"
     if span_ns is None:
-        return f"{head} before its first whole message; how much is missing is not known"
-    read = f"{head}: {times(messages, 'message')} read, up to {seconds(span_ns[1])}"
-    if chunk is None:
-        return f"{read}; how much is missing is not known"
-    unchecked = f" ({times(cut.unchecked, 'message')} of it read without a checksum)" if cut.unchecked else ""
-    return f"{read}; {seconds(chunk[1] - chunk[0])} of its last chunk are missing{unchecked}, and what came after"
+        missing = _plausible(cut.chunk_ns, None)
+        what = f"{what} before its first whole message"
+    else:
+        missing = _plausible(cut.chunk_ns and (span_ns[1], cut.chunk_ns[1]), span_ns)
+        unchecked = f" (the last {cut.unchecked} could not be checked)" if cut.unchecked else ""
+        what = f"{what}: {times(messages, 'message')} read, up to {seconds(span_ns[1])}{unchecked}"
+    if missing is None or missing[0] == missing[1]:
+        return f"{what}; how much is missing is not known"
+    return f"{what}; {seconds(missing[1] - missing[0])} of its last chunk are missing, and all that came after"
 
 
 def times(count: int, noun: str) -> str:

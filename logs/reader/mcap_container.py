@@ -87,9 +87,11 @@ class McapContainer:
         table = np.zeros(1 << 16, np.bool_)
         table[numbers] = True
         with self._open() as file:
-            for batch in in_time_order(
-                blocks, lambda block, from_ns: self._read(file, block, Wanted(table, from_ns, last_ns)), first_ns
-            ):
+
+            def open_block(block: Block, from_ns: int) -> Iterator[Unpacked]:
+                return self._read(file, block, Wanted(table, from_ns, last_ns))
+
+            for batch in in_time_order(blocks, open_block, first_ns):
                 yield from batch
 
     def attachments(self) -> Iterator[Attachment]:
@@ -138,4 +140,6 @@ class McapContainer:
             return
         unpacked = select(content, np.array(found.messages, np.int64), wanted, block.start, start)
         if len(unpacked.times):
+            if unpacked.times[0] < block.first_ns:
+                self._contents.losses.late.add(start)
             yield unpacked

@@ -8,6 +8,7 @@ from logs.reader.chunks import cut_head, read_head
 from logs.reader.decompress import check_size
 from logs.reader.records import HEAD, LIMIT_BYTES, SHORTEST, Damaged, Op, is_header, message_index_count
 
+_FIRST_PIECE_BYTES = 1 << 12  # most damage is small
 _PIECE_BYTES = 1 << 20
 _CONVINCING_RECORDS = 4
 _SHORTEST = np.array([*SHORTEST, *[1 << 62] * (256 - len(SHORTEST))], np.uint64)
@@ -15,11 +16,13 @@ _SHORTEST = np.array([*SHORTEST, *[1 << 62] * (256 - len(SHORTEST))], np.uint64)
 
 def resync(file: IO[bytes], start: int, size: int) -> int | None:
     """The first place from `start` on where a chain of records begins; None if there is none."""
+    piece_bytes = _FIRST_PIECE_BYTES
     while start + HEAD.size <= size:
         file.seek(start)
-        piece = file.read(_PIECE_BYTES)
+        piece = file.read(piece_bytes)
+        piece_bytes = min(4 * piece_bytes, _PIECE_BYTES)
         for candidate in _candidates(piece, size - start):
-            if _convinces(file, start + candidate, size):
+            if convinces(file, start + candidate, size):
                 return start + candidate
         start += max(1, len(piece) - HEAD.size + 1)
     return None
@@ -36,7 +39,7 @@ def _candidates(piece: bytes, left: int) -> list[int]:
     return [int(place) for place in places[fits]]
 
 
-def _convinces(file: IO[bytes], start: int, size: int) -> bool:
+def convinces(file: IO[bytes], start: int, size: int) -> bool:
     """Whether several records follow each other from here, or a chunk, or fewer to the very end."""
     for met in range(_CONVINCING_RECORDS):
         if start == size:

@@ -5,7 +5,7 @@ from typing import IO
 import numpy as np
 
 from logs.reader.blocks import Block, Blocks, Contents, Definitions
-from logs.reader.chunks import cut_head, lost_chunk, read_chunk, read_cut_chunk
+from logs.reader.chunks import cut_head, lost_chunk, read_chunk, read_cut_chunk, read_head
 from logs.reader.damage import Cut, Losses
 from logs.reader.records import (
     HEAD,
@@ -16,15 +16,18 @@ from logs.reader.records import (
     Op,
     Span,
     is_header,
+    message_index_count,
     parse_channel,
     parse_metadata,
     parse_schema,
 )
-from logs.reader.resync import resync
+from logs.reader.resync import convinces, resync
 from logs.reader.summary import Summary
 from logs.reader.unpacked import Walk, headers, walk
 
 _PIECE_BYTES = 1 << 18
+_OF_DATA = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.MESSAGE_INDEX, Op.METADATA})
+"""What stands in a run before the data's end; but for the header, all else is of the summary."""
 
 
 class Scan:
@@ -39,6 +42,8 @@ class Scan:
         self._attachments: list[Span] = []
         self._losses = Losses()
         self._data_ended = self._finished = False
+        self._piece, self._piece_at = b"", 0
+        self._previous = Span(Op.HEADER, 0, 0)
         self._run()
 
     def contents(self) -> Contents:
@@ -56,50 +61,69 @@ class Scan:
 
     def _run(self) -> None:
         at: int | None = len(MAGIC)
-        last = len(MAGIC)
         while at is not None and at < self._size and not self._finished:
-            last, at = at, self._step(at)
+            at = self._step(at)
         if not self._finished and self._losses.cut is None:
-            self._losses.cut = Cut(self._size - (last if at is None else at), indexed=self._data_ended)
+            self._losses.cut = Cut(self._data_ended)
 
     def _step(self, at: int) -> int | None:
         """Take what stands here; where the next stands, None where there is nothing more."""
-        self._file.seek(at)
-        piece = self._file.read(_PIECE_BYTES)
-        found = walk(piece, loose=True)
-        if found.broken and found.end:
-            return self._broken_after(at, piece, found)
-        if found.end:
-            self._take(piece[: found.end], found, at)
-            return at + found.end
-        opcode, length = HEAD.unpack_from(piece) if len(piece) >= HEAD.size else (0, 0)
+        if not self._piece_at <= at <= self._piece_at + len(self._piece) - HEAD.size:
+            self._fill(at)
+        found = walk(self._piece, at - self._piece_at, loose=True)
+        if found.end == at - self._piece_at and self._piece_at < at:
+            self._fill(at)
+            found = walk(self._piece, loose=True)
+        end = self._piece_at + found.end
+        if end > at:
+            return self._broken_after(found) if found.broken else self._take_run(found)
+        opcode, length = HEAD.unpack_from(self._piece) if len(self._piece) >= HEAD.size else (0, 0)
         end = at + HEAD.size + length
-        if not is_header(opcode, length) or end > self._size:
-            return self._broken(at)
-        return self._alone(opcode, at, end)
+        return self._alone(opcode, at, end) if is_header(opcode, length) and end <= self._size else self._broken(at)
+
+    def _fill(self, at: int) -> None:
+        self._file.seek(at)
+        self._piece, self._piece_at = self._file.read(_PIECE_BYTES), at
 
     def _alone(self, opcode: int, at: int, end: int) -> int | None:
         """A record that is not taken together with its neighbours."""
         if opcode == Op.CHUNK:
+            self._previous = Span(opcode, at, end)
             return self._chunk(at, end)
         if opcode == Op.ATTACHMENT:
             self._attachments.append(Span(opcode, at, end))
         elif opcode == Op.DATA_END:
             self._data_ended = True
         elif opcode == Op.FOOTER:
-            self._file.seek(at + HEAD.size)
-            start = Fields(self._file.read(8)).number(8)
-            self._file.seek(end)
-            self._finished = self._file.read(len(MAGIC)) == MAGIC
-            self._losses.index |= start != 0 and self._summary is None
-        elif not self._goes_on(end):
-            return self._broken(at)
-        elif end - at <= LIMIT_BYTES:
-            self._file.seek(at)
-            record = self._file.read(end - at)
-            self._take(record, walk(record, loose=True), at)
+            return self._footer(at, end)
         else:
+            return self._big(at, end)
+        self._previous = Span(opcode, at, end)
+        return end
+
+    def _footer(self, at: int, end: int) -> int | None:
+        self._file.seek(at + HEAD.size)
+        start = Fields(self._file.read(8)).number(8)
+        self._file.seek(end)
+        if self._file.read(len(MAGIC) + 1) != MAGIC:
+            return self._broken(at) if end < self._size else None
+        self._finished = True
+        self._losses.index |= start != 0 and self._summary is None
+        return end
+
+    def _big(self, at: int, end: int) -> int | None:
+        """A record that is longer than a piece; unless its length is wrong."""
+        if not self._goes_on(end):
+            following = resync(self._file, at + 1, self._size)
+            if following is not None and following < end:
+                self._lose(at, following)
+                return following
+        if end - at > LIMIT_BYTES:
             self._losses.records.add(at)
+            return end
+        self._file.seek(at)
+        record = self._file.read(end - at)
+        self._take(record, walk(record, loose=True), at)
         return end
 
     def _goes_on(self, at: int) -> bool:
@@ -112,6 +136,7 @@ class Scan:
         return is_header(opcode, length) and length <= max(LIMIT_BYTES, self._size)
 
     def _chunk(self, at: int, end: int) -> int | None:
+        end = self._end_of_chunk(at, end)
         try:
             content, found = read_chunk(self._file, at, end)
         except Damaged as error:
@@ -124,68 +149,110 @@ class Scan:
         self._take(content, found, at, Block(at, end, 0, 0, 1))
         return end
 
+    def _end_of_chunk(self, at: int, end: int) -> int:
+        """Where its packed bytes end, if records go on there: its length is wrong then, or else it is padded."""
+        try:
+            head = read_head(self._file, at, end)
+        except Damaged:
+            return end
+        packed_end = at + head.start + head.packed_size
+        return packed_end if packed_end < end and convinces(self._file, packed_end, self._size) else end
+
     def _broken(self, at: int) -> int | None:
         """What begins here is damaged, or cut off by the end of the file."""
-        head = cut_head(self._file, at, self._size)
-        if head is not None:
-            content, found = read_cut_chunk(self._file, at, self._size)
-            self._losses.cut = Cut(self._size - at, False, head.last_ns, len(found.messages))
-            self._take(content, found, at, Block(at, self._size, 0, 0, 1, cut=True))
-            return None
-        following = resync(self._file, at + 1, self._size)
-        if following is not None:
+        whole = cut_head(self._file, at, self._size) is None
+        following = resync(self._file, at + 1, self._size) if whole else None
+        if following is None:
+            self._cut_chunk(at)
+        else:
             self._lose(at, following)
         return following
 
-    def _broken_after(self, at: int, piece: bytes, found: Walk) -> int | None:
+    def _cut_chunk(self, at: int) -> None:
+        """What there is of the last chunk, if it is one."""
+        head = cut_head(self._file, at, self._size, padded=True)
+        if head is not None:
+            content, found = read_cut_chunk(self._file, at, self._size)
+            self._losses.cut = Cut(False, (head.first_ns, head.last_ns), len(found.messages))
+            self._take(content, found, at, Block(at, self._size, 0, 0, 1, cut=True))
+
+    def _broken_after(self, found: Walk) -> int | None:
         """No record follows a run: the length of its last record may be wrong, or what follows is damaged."""
         last = max([*found.messages[-1:], *(span.start for span in found.others[-1:])])
-        following = resync(self._file, at + last + 1, self._size)
-        broken = found.end
-        if following is not None and following < at + found.end:
-            broken = last
+        following = resync(self._file, self._piece_at + last + 1, self._size)
+        if following is not None and following < self._piece_at + found.end:
             others = [span for span in found.others if span.start < last]
             found = Walk([place for place in found.messages if place < last], others, last, True)
-        self._take(piece[: found.end], found, at)
+        broken = self._take_run(found)
         if following is not None:
-            self._lose(at + broken, following)
+            self._lose(broken, following)
         elif self._losses.cut is None:
-            self._losses.cut = Cut(self._size - at - found.end, indexed=self._data_ended)
+            self._losses.cut = Cut(self._data_ended)
         return following
 
     def _lose(self, start: int, end: int) -> None:
         """Count what stands between two places as a damaged record, or as a chunk where its end says so."""
+        self._previous = Span(0, start, end)
         if self._data_ended:
             self._losses.index = True
             return
         lost = lost_chunk(self._file, start, end, self._size, "it begins with nonsense")
         if lost.messages:
+            self._previous = Span(Op.CHUNK, start, end)
             self._losses.chunks[start] = lost
         else:
             self._losses.records.add(start)
 
+    def _take_run(self, found: Walk) -> int:
+        self._take(self._piece, found, self._piece_at)
+        return self._piece_at + found.end
+
     def _take(self, buffer: bytes, found: Walk, at: int, chunk: Block | None = None) -> None:
         for span in found.others:
-            content = buffer[span.start + HEAD.size : span.end]
             try:
-                if span.opcode == Op.SCHEMA:
-                    self._definitions.add_schema(parse_schema(content))
-                elif span.opcode == Op.CHANNEL:
-                    self._definitions.add_channel(parse_channel(content))
-                elif span.opcode == Op.METADATA and chunk is None:
-                    name, pairs = parse_metadata(content)
-                    self._metadata[name] = dict(pairs)
+                self._take_other(span.opcode, buffer[span.start : span.end], at + span.start, chunk is None)
             except Damaged:
-                self._losses.records.add(at + span.start)
+                if self._data_ended:
+                    self._losses.index = True
+                else:
+                    self._losses.records.add(at + span.start)
         if not found.messages:
             return
         self._data_ended = False  # that was none
         head = headers(buffer, np.array(found.messages, np.int64))
-        counts = np.bincount(head["channel"], minlength=len(self._counts))
-        self._counts += counts
+        counts = np.bincount(head["channel"])
+        self._counts[: len(counts)] += counts
         channels = self._blocks.shared(frozenset(np.flatnonzero(counts).tolist()))
         first, last = int(head["log_time"].min()), int(head["log_time"].max())
         if chunk is None:
+            self._previous = Span(Op.MESSAGE, at + found.messages[-1], at + found.end)
             self._blocks.add(Block(at + found.messages[0], at + found.end, first, last, 0, channels))
         else:
             self._blocks.add(Block(chunk.start, chunk.end, first, last, 1, channels, chunk.cut))
+
+    def _take_other(self, opcode: int, record: bytes, at: int, loose: bool) -> None:
+        """A record that is no message. Damaged if it is not what it says, or has no business here."""
+        previous = self._previous
+        if loose:
+            self._previous = Span(opcode, at, at + len(record))
+        if opcode == Op.SCHEMA:
+            self._definitions.add_schema(parse_schema(record[HEAD.size :]))
+        elif opcode == Op.CHANNEL:
+            self._definitions.add_channel(parse_channel(record[HEAD.size :]))
+        elif not loose:
+            return
+        elif opcode == Op.METADATA:
+            name, pairs = parse_metadata(record[HEAD.size :])
+            self._metadata[name] = dict(pairs)
+        elif opcode == Op.MESSAGE_INDEX:
+            message_index_count(record[: HEAD.size + 6])
+            if previous.opcode not in (Op.CHUNK, Op.MESSAGE_INDEX) and previous.end == at:
+                self._chunk_in_disguise(previous)
+        elif opcode < 128 and not self._data_ended and opcode not in _OF_DATA and at != len(MAGIC):
+            raise Damaged("a record of the summary among the data")
+
+    def _chunk_in_disguise(self, span: Span) -> None:
+        """A message index follows something that is no chunk: then its opcode is what is damaged, if not more."""
+        self._losses.records.discard(span.start)
+        self._attachments = [attachment for attachment in self._attachments if attachment.start != span.start]
+        self._chunk(span.start, span.end)

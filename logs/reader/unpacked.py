@@ -120,11 +120,13 @@ class Unpacked:
 
     def batches(self) -> Iterator[Iterator[RawMessage]]:
         """The messages, some at a time."""
+        buffer = self.buffer
         for start in range(0, len(self.places), _BATCH_MESSAGES):
             places = self.places[start : start + _BATCH_MESSAGES]
             head = headers(self.buffer, places)
+            starts = (places + MESSAGE_HEAD_BYTES).tolist()
             ends = (places + head["length"].astype(np.int64) + HEAD.size).tolist()
-            data = map(self.buffer.__getitem__, map(slice, (places + MESSAGE_HEAD_BYTES).tolist(), ends))
+            data = [buffer[start:end] for start, end in zip(starts, ends, strict=True)]
             yield map(
                 _new,
                 zip(
