@@ -9,7 +9,7 @@ _TITLES = ("topic", "type", "role", "messages", "rate / Hz", "longest gap / s")
 
 
 def format_summary(summary: LogSummary) -> str:
-    """A line on the whole log, what its maker said about it, and a row per topic."""
+    """A line on the whole log, what its maker said about it, and a row per topic; `role?` is one it could play."""
     span = "no messages"
     if summary.start_ns is not None and summary.end_ns is not None:
         span = f"{summary.duration_s:.1f} s, from {seconds(summary.start_ns)} to {seconds(summary.end_ns)}"
@@ -21,4 +21,5 @@ def format_summary(summary: LogSummary) -> str:
 def _cells(row: TopicRow) -> tuple[Cell, ...]:
     rate = "-" if row.rate_hz is None else f"{row.rate_hz:.2f}"
     gap = "-" if row.longest_gap_s is None else f"{row.longest_gap_s:.3f}"
-    return tuple(Cell(text) for text in (row.topic, row.type, row.role or "-", str(row.count), rate, gap))
+    role = row.role or (f"{row.candidate}?" if row.candidate else "-")
+    return tuple(Cell(text) for text in (row.topic, row.type, role, str(row.count), rate, gap))

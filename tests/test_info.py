@@ -76,8 +76,8 @@ def test_a_role_can_be_played_by_another_topic(tmp_path):
         log.write("/wheels", Odometry(1, np.zeros(3)))
     (row,) = summarize(tmp_path / "log.mcap", {"odometry": "/wheels"}).rows
     assert row.role == "odometry"
-    (row,) = summarize(tmp_path / "log.mcap").rows
-    assert (row.role, row.count, row.first_ns) == (None, 1, 1)
+    (row,) = summarize(tmp_path / "log.mcap", {"odometry": "/feet"}).rows
+    assert (row.role, row.candidate, row.count, row.first_ns) == (None, "odometry", 1, 1)
 
 
 def test_a_cut_log_and_one_without_messages_have_summaries(tmp_path):

@@ -1,61 +1,76 @@
-"""A log: an MCAP file whose messages are read as fieldloc's records."""
+"""A log: any recording, fieldloc's own or someone else's, whose messages are read as fieldloc's records."""
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
+from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
+from logs.foreign.interpreter import Interpreter, Span, Translation
+from logs.foreign.notes import Notes
+from logs.foreign.parts import ImagePart, VideoPart
+from logs.foreign.roles import PLAYERS
+from logs.foreign.settings import LogMapping
+from logs.foreign.wires import known_type, own_schema
 from logs.reader.container import open_container
-from logs.schema import (
-    BY_KIND,
-    BY_NAME,
-    BY_ROLE,
-    MESSAGE_ENCODING,
-    SCHEMA_ENCODING,
-    TOPICS,
-    BadMessage,
-    R,
-    Record,
-    Schema,
-    decode,
-)
-from logs.source import Source
+from logs.reader.merged import Merged
+from logs.schema import BY_KIND, BY_ROLE, MESSAGE_ENCODING, TOPICS, BadMessage, R, Record, Schema, decode_many
+from logs.source import Container, RawMessage, Source
+
+_FIRST_WINDOW, _WINDOW = 4, 512  # messages decoded together: few at first, for who wants only one
+_LATCHED = (FieldMap, Camera)  # in force from their log time on, so also before the part of the log that is read
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
-    """A record, where it was logged, and when; the record's own stamp is when it was measured."""
+class Message(NamedTuple):
+    """A record, where it was logged, and when; the record's own stamp is when it was measured.
+
+    A record that took several messages of someone else's robot is logged when the last of them was.
+    """
 
     topic: str
     log_time_ns: int
     record: Record
 
 
-@dataclass(slots=True)
-class _Skipped:
-    count: int
-    first: str
-
-
 class LogFile:
-    """What an MCAP file holds, and its messages. Nothing is kept open between calls.
+    """What a recording holds, and its messages. Nothing is kept open between calls, and little of it in memory.
 
-    roles: the topic of each role where it is not the usual one (logs.schema.TOPICS).
-    Opening raises FieldlocError for what is not an MCAP file at all. A damaged or unfinished one opens with what is
-    whole in it; `warnings` says what is not.
+    path: one file (or folder of a ROS 2 bag), or several that are read as one. mapping: what the log does not say, or
+    only the topic of each role that is not played by what would be guessed (logs.foreign.roles). start_s, end_s: the
+    part of the log that is read, by log time since its first message; the map and the camera hold from before.
+    Opening raises FieldlocError for what is no recording at all. A damaged or unfinished one opens with what is whole
+    in it; `warnings` says what is not.
     """
 
-    def __init__(self, path: str | Path, roles: Mapping[str, str] | None = None) -> None:
-        self.path = Path(path)
-        self.roles: Mapping[str, str] = MappingProxyType({**TOPICS, **(roles or {})})
-        self.container = open_container(self.path)
-        self._skipped: dict[str, _Skipped] = {}
+    def __init__(
+        self,
+        path: str | Path | Sequence[str | Path],
+        mapping: LogMapping | Mapping[str, str] | None = None,
+        start_s: float | None = None,
+        end_s: float | None = None,
+    ) -> None:
+        paths = [path] if isinstance(path, (str, Path)) else list(path)
+        containers = [open_container(Path(one)) for one in paths]
+        self.container: Container = containers[0] if len(containers) == 1 else Merged(containers)
+        self.path = self.container.path
+        self.mapping = mapping if isinstance(mapping, LogMapping) else _with_topics(mapping or {})
+        self._notes = Notes()
+        self._span = self._part(start_s, end_s)
+        self._check_topics()
+        self._interpreter = Interpreter(self.container, self.mapping, self._notes, self._span)
+
+    @property
+    def roles(self) -> Mapping[str, str]:
+        """The topic of each role of logs.schema.TOPICS, the usual one where nothing plays it; several with commas."""
+        played = {**self._interpreter.roles.topics, **self.mapping.roles}
+        return MappingProxyType({role: ", ".join(played.get(role, ())) or usual for role, usual in TOPICS.items()})
 
     @property
     def sources(self) -> tuple[tuple[Source, int], ...]:
-        """Every channel, known to fieldloc or not, with its number of messages, by topic."""
+        """Every channel, known to fieldloc or not, with its number of messages in the whole log, by topic."""
         counts = self.container.counts
         pairs = [(source, counts.get(number, 0)) for number, source in self.container.sources.items()]
         return tuple(sorted(pairs, key=lambda pair: (pair[0].topic, pair[0].schema_name)))
@@ -73,41 +88,59 @@ class LogFile:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the file, and with the messages met so far."""
-        out = [f"{self.path}: {sentence}" for sentence in self.container.damage]
-        for topic, skipped in self._skipped.items():
-            total = sum(count for source, count in self.sources if source.topic == topic)
-            out.append(f"{self.path}: {skipped.count} of {total} messages left out, the first: {skipped.first}")
-        return tuple(out)
+        totals: dict[str, int] = {}
+        for source, count in self.sources:
+            totals[source.topic] = totals.get(source.topic, 0) + count
+        sentences = (*self.container.damage, *self._notes.sentences(totals))
+        return tuple(f"{self.path}: {sentence}" for sentence in sentences)
 
     def role(self, source: Source) -> str | None:
-        """What the channel's messages are to fieldloc: a key of logs.schema.TOPICS, or None."""
-        role = next((role for role, topic in self.roles.items() if topic == source.topic), None)
-        return role if role is not None and _schema(source) is BY_ROLE[role] else None
+        """What the channel's messages are to fieldloc: one of logs.foreign.settings.ROLES, or None."""
+        return next(iter(self.plays(source)), None)
+
+    def plays(self, source: Source) -> tuple[str, ...]:
+        """All of its roles."""
+        return self._interpreter.plays(source)
+
+    def candidate(self, source: Source) -> str | None:
+        """The role that the channel could play if another did not."""
+        return self._interpreter.roles.candidates.get(source.topic)
 
     def problem(self, source: Source) -> str | None:
         """Why a topic that has a role cannot play it, or None."""
-        role = next((role for role, topic in self.roles.items() if topic == source.topic), None)
-        if role is None or _schema(source) is BY_ROLE[role]:
+        role = self._meant(source.topic)
+        own, part = own_schema(source), known_type(source)
+        if role is None or (own.role == role if own else part in PLAYERS[role]):
             return None
+        if own is None and part is not None and not self._is_told(source.topic):
+            return None  # an image on /camera
+        carried = f"{source.schema_name or 'no schema'} ({source.message_encoding or 'no encoding'})"
+        if role not in BY_ROLE:
+            return f"topic {source.topic} carries {carried}, which cannot be {role}"
+        known = BY_ROLE[role].name
         if source.message_encoding == MESSAGE_ENCODING and source.schema_name.startswith("fieldloc."):
             name, _, version = source.schema_name.rpartition(".")
-            if BY_ROLE[role].name.startswith(f"{name}.") and version != BY_ROLE[role].name.rpartition(".")[2]:
-                known = BY_ROLE[role].name
+            if known.startswith(f"{name}.") and version != known.rpartition(".")[2]:
                 return f"topic {source.topic} carries {source.schema_name}, known is {known}: update fieldloc"
-        carried = f"{source.schema_name or 'no schema'} ({source.message_encoding or 'no encoding'})"
-        return f"topic {source.topic} carries {carried}, needs {BY_ROLE[role].name} ({MESSAGE_ENCODING})"
+        return f"topic {source.topic} carries {carried}, needs {known} ({MESSAGE_ENCODING})"
 
     def has(self, kind: type[R]) -> bool:
-        """Whether there are messages on the topic of this kind of record."""
-        topic = self.roles[BY_KIND[kind].role]
-        return any(source.topic == topic and count > 0 for source, count in self.sources)
+        """Whether there are messages on a topic of this kind of record."""
+        topics = self._topics(BY_KIND[kind].role)
+        told = kind is Camera and self.mapping.camera is not None
+        return told or any(source.topic in topics and count > 0 for source, count in self.sources)
 
     def records(self, kind: type[R]) -> Iterator[R]:
-        """What is on the topic of this kind of record, in the order of log time; nothing if there is no such topic."""
-        if not self.has(kind):
+        """What is on the topics of this kind of record, in the order of log time; nothing if there is no such topic."""
+        role = BY_KIND[kind].role
+        if kind is Camera and self.mapping.camera is not None:
+            return (camera for camera in (self.mapping.camera,) if isinstance(camera, kind))
+        own = self._own(self._topics(role), role)
+        translation = self._interpreter.translation({role: self._interpreter.channels(role)})
+        if not own and not translation.channels:
             return iter(())
-        messages = self.messages([self.roles[BY_KIND[kind].role]])
-        return (message.record for message in messages if isinstance(message.record, kind))
+        span = (None, self._span[1]) if kind in _LATCHED else self._span
+        return (message.record for message in self._decoded(own, translation, span) if isinstance(message.record, kind))
 
     def field_map(self) -> FieldMap | None:
         """The map that the log was recorded on, where the log says so."""
@@ -119,35 +152,143 @@ class LogFile:
         A message that its schema does not allow is left out and counted in `warnings`. Raises FieldlocError, before
         the first message, if a topic carries something else than its role needs, or if there is nothing to read.
         """
-        wanted: dict[int, tuple[str, Schema]] = {}
+        own = self._own(topics)
+        interpreter = self._interpreter
+        others = {
+            role: [n for n in interpreter.channels(role) if topics is None or interpreter.topic(n) in topics]
+            for role in TOPICS
+        }
+        counts = self.container.counts
+        if not any(counts.get(number) for number in {*own, *(n for numbers in others.values() for n in numbers)}):
+            raise FieldlocError(f"{self.path}: {self._nothing(topics)}")
+        return self._decoded(own, interpreter.translation(others), self._span)
+
+    def images(self, topic: str | None = None) -> Iterator[ImagePart]:
+        """Pictures as they were logged, of one topic, the likeliest if none is named. FieldlocError where none are."""
+        sources, counts = self.container.sources, self.container.counts
+        parts = {n: known_type(source) for n, source in sources.items() if counts.get(n)}
+        found = {n: sources[n].topic for n, part in parts.items() if part in PLAYERS["image"]}
+        playing = self._interpreter.roles.topics.get("image", ())
+        wanted = topic or next(iter(playing), None)
+        number = next((n for n, name in found.items() if name == wanted), None)
+        if number is None:
+            where = f"no images on {topic}" if topic else "holds no images"
+            held = f"; there are some on {', '.join(sorted(set(found.values())))}" if found else ""
+            raise FieldlocError(f"{self.path}: {where}{held}")
+        if parts[number] is VideoPart:
+            raise FieldlocError(
+                f"{self.path}: {found[number]} is compressed video ({sources[number].schema_name}), for which there is "
+                "no decoder here: record CompressedImage instead, or convert the video to it"
+            )
+        return self._interpreter.images(number)
+
+    def log_times(self, wanted: Collection[Source] | None = None) -> Iterator[tuple[Source, int]]:
+        """Log time of every message on these channels or on all, decoded by nobody, in the order of log time."""
+        sources = self.container.sources
+        channels = [number for number, source in sources.items() if wanted is None or source in wanted]
+        for raw in self.container.messages(channels, *self._span):
+            yield sources[raw.channel], raw.log_time_ns
+
+    def _part(self, start_s: float | None, end_s: float | None) -> Span:
+        span = self.container.span_ns
+        if span is None or (start_s is None and end_s is None):
+            return None, None
+        length_s = (span[1] - span[0]) / 1e9
+        if end_s is not None and end_s <= (start_s or 0.0):
+            raise FieldlocError(f"{self.path}: nothing between {start_s or 0.0:g} s and {end_s:g} s")
+        if start_s is not None and start_s > length_s:
+            raise FieldlocError(f"{self.path}: nothing from {start_s:g} s on: the log is {length_s:.1f} s long")
+        start_ns = None if start_s is None else span[0] + round(max(start_s, 0.0) * 1e9)
+        return start_ns, None if end_s is None else span[0] + round(end_s * 1e9)
+
+    def _check_topics(self) -> None:
+        """--role with a topic that is not there is a mistake; a mapping may serve several logs."""
+        held = {source.topic for source, _ in self.sources}
+        for role, topics in self.mapping.roles.items():
+            for topic in topics:
+                if topic not in held and role in self.mapping.told:
+                    there = ", ".join(sorted(held)) or "none"
+                    raise FieldlocError(f"{self.path}: --role {role}={topic}: no such topic; there is {there}")
+                if topic not in held:
+                    self._notes.say(f"no topic {topic}, which is to be {role}")
+
+    def _topics(self, role: str) -> tuple[str, ...]:
+        """Those that play the role or should: the usual one where the mapping says nothing and nothing plays it."""
+        if role in self.mapping.roles:
+            return self.mapping.roles[role]
+        return self._interpreter.roles.topics.get(role) or (TOPICS[role],)
+
+    def _is_told(self, topic: str) -> bool:
+        return any(topic in topics for topics in self.mapping.roles.values())
+
+    def _meant(self, topic: str) -> str | None:
+        """The role that the topic should play, by the mapping or because it is the usual one."""
+        told = next((role for role, topics in self.mapping.roles.items() if topic in topics), None)
+        usual = next((role for role, name in TOPICS.items() if name == topic and role not in self.mapping.roles), None)
+        return told or usual
+
+    def _own(self, topics: Collection[str] | None, role: str | None = None) -> dict[int, tuple[str, Schema]]:
+        """fieldloc's own channels on these topics. FieldlocError for one that is not what it should be.
+
+        A message of someone else's type on a usual topic is no mistake: it is nobody's.
+        """
+        out = {}
         for number, source in self.container.sources.items():
             if topics is not None and source.topic not in topics:
                 continue
-            if problem := self.problem(source):
+            mistaken = source.schema_name.startswith("fieldloc.") or self._is_told(source.topic)
+            if mistaken and (problem := self.problem(source)):
                 raise FieldlocError(f"{self.path}: {problem}")
-            if schema := _schema(source):
-                wanted[number] = (source.topic, schema)
-        if not any(self.container.counts.get(number) for number in wanted):
-            raise FieldlocError(f"{self.path}: {self._nothing(topics)}")
-        return self._decoded(wanted)
+            schema = own_schema(source)
+            if schema and (role is None or schema.role == role):
+                out[number] = (source.topic, schema)
+        return out
 
-    def log_times(self) -> Iterator[tuple[Source, int]]:
-        """Log time of every message on every channel, decoded by nobody, in the order of log time."""
-        sources = self.container.sources
-        for raw in self.container.messages(sources.keys()):
-            yield sources[raw.channel], raw.log_time_ns
+    def _decoded(
+        self, own: Mapping[int, tuple[str, Schema]], translation: Translation, span: Span
+    ) -> Iterator[Message]:
+        for topic, _ in own.values():
+            self._notes.begin(topic)
+        raws = self.container.messages({*own, *translation.channels}, *span)
+        last_ns = 0
+        records: list[Record | BadMessage | None]
+        size = _FIRST_WINDOW
+        while window := [*islice(raws, size)]:
+            size = min(2 * size, _WINDOW)
+            last_ns = window[-1].log_time_ns
+            if len(own) == 1 and not translation.channels:
+                ((topic, schema),) = own.values()
+                records = [*decode_many(schema, topic, [raw.data for raw in window])]
+            else:
+                records = self._decode_by_channel(own, window)
+            for raw, record in zip(window, records, strict=True):
+                if record is None:
+                    topic = self._interpreter.topic(raw.channel)
+                    for one in translation.take(raw):
+                        yield Message(topic, raw.log_time_ns, one)
+                elif isinstance(record, BadMessage):
+                    self._notes.leave_out(own[raw.channel][0], str(record))
+                else:
+                    yield Message(own[raw.channel][0], raw.log_time_ns, record)
+        for one in translation.finish():
+            yield Message(self.roles[BY_KIND[type(one)].role], last_ns, one)
 
-    def _decoded(self, wanted: Mapping[int, tuple[str, Schema]]) -> Iterator[Message]:
-        for topic, _ in wanted.values():
-            self._skipped.pop(topic, None)
-        for raw in self.container.messages(wanted.keys()):
-            topic, schema = wanted[raw.channel]
-            try:
-                record = decode(schema, topic, raw.data)
-            except BadMessage as error:
-                self._skipped.setdefault(topic, _Skipped(0, str(error))).count += 1
-                continue
-            yield Message(topic, raw.log_time_ns, record)
+    def _decode_by_channel(
+        self, own: Mapping[int, tuple[str, Schema]], window: Sequence[RawMessage]
+    ) -> list[Record | BadMessage | None]:
+        """None for the messages of others."""
+        out: list[Record | BadMessage | None] = [None] * len(window)
+        places: dict[int, list[int]] = {}
+        for place, raw in enumerate(window):
+            places.setdefault(raw.channel, []).append(place)
+        for number, where in places.items():
+            if number in own:
+                topic, schema = own[number]
+                for place, record in zip(
+                    where, decode_many(schema, topic, [window[i].data for i in where]), strict=True
+                ):
+                    out[place] = record
+        return out
 
     def _nothing(self, topics: Collection[str] | None) -> str:
         if not sum(self.container.counts.values()):
@@ -164,7 +305,5 @@ def read_log(
     return LogFile(path, roles).messages(topics)
 
 
-def _schema(source: Source) -> Schema | None:
-    if (source.message_encoding, source.schema_encoding) != (MESSAGE_ENCODING, SCHEMA_ENCODING):
-        return None
-    return BY_NAME.get(source.schema_name)
+def _with_topics(topics: Mapping[str, str]) -> LogMapping:
+    return LogMapping(roles=MappingProxyType({role: (topic,) for role, topic in topics.items()}))
