@@ -6,12 +6,12 @@ from pathlib import Path
 from fieldloc.errors import FieldlocError
 
 
-def output_file(path: Path, source: Path) -> Path:
-    """`path`; FieldlocError where it is the source itself or cannot be written. Missing folders are no obstacle."""
+def output_file(path: Path, *sources: Path) -> Path:
+    """`path`; FieldlocError where it is a source itself or cannot be written. Missing folders are no obstacle."""
     try:
         if path.is_dir():
             raise FieldlocError(f"{path}: is a directory; give a file with -o")
-        if path.exists() and source.exists() and path.samefile(source):
+        if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
             raise FieldlocError(f"{path}: is what is read; give another file with -o")
     except OSError as error:
         raise FieldlocError(f"{path}: cannot be written: {error.strerror}") from None

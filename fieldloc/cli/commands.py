@@ -3,12 +3,16 @@
 import argparse
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import NoReturn, TypeAlias
 
 import numpy as np
 
 from fieldloc.errors import FieldlocError
 from fieldloc.pose import FloatArray
+
+RUNS = Path("runs")
+"""Where results go unless told otherwise."""
 
 Command = Callable[[argparse.Namespace], None]
 Subparsers: TypeAlias = "argparse._SubParsersAction[Parser]"

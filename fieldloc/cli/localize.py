@@ -8,37 +8,31 @@ from pathlib import Path
 
 from estimators.config import Config
 from estimators.config_file import load_config, with_settings
-from fieldloc.cli.commands import Commands, Parser, start_pose
+from fieldloc.cli.commands import RUNS, Commands, Parser, start_pose
+from fieldloc.cli.reading import add_meaning_options, add_part_options, open_log
 from fieldloc.cli.terminal import bar, say, warn, warning_of
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap, load_field
-from logs.reader import LogFile
 
 ONLINE = ("ekf", "particles", "dead-reckoning")
-_RUNS = Path("runs")
 _COMPARED = "dead-reckoning,ekf,particles,smooth"
 
 
 def add_commands(commands: Commands) -> None:
     """run, smooth, compare."""
     sub = commands.add("run", _localize, "A log through an online estimator", "run woods.mcap --estimator ekf")
-    sub.add_argument("log", type=Path, metavar="LOG")
-    add_estimation_options(sub)
-    _add_output(sub, "OUT.mcap", "runs/LOG-ESTIMATOR.mcap")
+    _add_result_options(sub, "runs/LOG-ESTIMATOR.mcap")
     sub.add_argument("--estimator", choices=ONLINE, default=ONLINE[0], help="default: %(default)s")
 
     sub = commands.add("smooth", _localize, "The best trajectory, in hindsight", "smooth woods.mcap -o best.mcap")
-    sub.add_argument("log", type=Path, metavar="LOG")
-    add_estimation_options(sub)
-    _add_output(sub, "OUT.mcap", "runs/LOG-smooth.mcap")
+    _add_result_options(sub, "runs/LOG-smooth.mcap")
     sub.set_defaults(estimator="smooth")
 
     what, example = "Estimators side by side: a report", "compare woods.mcap --estimators ekf,smooth"
     sub = commands.add("compare", _compare, what, example)
     sub.add_argument("logs", type=Path, nargs="*", metavar="LOG", help="the sample log if none is given")
     sub.add_argument("--estimators", default=_COMPARED, metavar="A,B,...", help="default: %(default)s")
-    add_estimation_options(sub)
-    _add_output(sub, "DIR", "runs/compare")
+    _add_options(sub, "DIR", "runs/compare")
 
 
 def add_estimation_options(sub: Parser) -> None:
@@ -62,8 +56,18 @@ def settings(options: argparse.Namespace) -> tuple[Config, FieldMap | None]:
     return config, load_field(options.field) if options.field else None
 
 
-def _add_output(sub: Parser, metavar: str, default: str) -> None:
-    sub.add_argument("-o", "--output", type=Path, metavar=metavar, help=f"default: {default}")
+def _add_options(sub: Parser, output: str, default: str) -> None:
+    sub.add_argument("-o", "--output", type=Path, metavar=output, help=f"default: {default}")
+    add_estimation_options(sub)
+    add_part_options(sub)
+    add_meaning_options(sub)
+
+
+def _add_result_options(sub: Parser, default: str) -> None:
+    sub.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="several are read as one")
+    _add_options(sub, "OUT.mcap", default)
+    sub.add_argument("--merge", action="store_true", help="the log's own messages into the result too, as they are")
+    sub.add_argument("--ros2", action="store_true", help="the estimates as ROS 2 messages too")
 
 
 def _localize(options: argparse.Namespace) -> None:
@@ -71,21 +75,24 @@ def _localize(options: argparse.Namespace) -> None:
     from logs.estimates import write_estimates
     from logs.output import output_file
     from logs.replay import load_recording, replay
+    from logs.result_streams import clock_offset_ns
 
-    name = options.estimator
+    name, first = options.estimator, options.logs[0]
     config, field = settings(options)
-    log = LogFile(options.log)
-    out = output_file(options.output or _RUNS / f"{options.log.stem}-{name}.mcap", options.log)
+    log = open_log(options, options.logs)
+    out = output_file(options.output or RUNS / f"{first.stem}-{name}.mcap", *options.logs)
     with warning_of(log), bar(options, name) as progress:
         recording = load_recording(log, field, progress)
         done = replay(recording, ALL[name](config), options.start, config.correlation, progress)
         metadata = {
             "estimator": name,
-            "log": os.fsencode(options.log.name).decode(errors="replace"),
+            "log": os.fsencode(first.name).decode(errors="replace"),
             "config": json.dumps(asdict(config)),
+            "total_s": f"{done.total_s:.3f}",
         }
-        write_estimates(out, recording, done, metadata, progress)
-    warn((*recording.warnings, *done.warnings))
+        merge, offset_ns = (log.container, clock_offset_ns(log)) if options.merge else (None, 0)
+        unwritten = write_estimates(out, recording, done, metadata, progress, merge, options.ros2, offset_ns)
+    warn((*recording.warnings, *done.warnings, *unwritten))
     say(options, f"{out}: {len(done.estimates)} estimates of {name} in {done.total_s:.1f} s")
 
 
@@ -103,11 +110,11 @@ def _compare(options: argparse.Namespace) -> None:
             f"--estimators {options.estimators}: no estimator '{unknown[0]}'; there is {', '.join(ALL)}"
         )
     config, field = settings(options)
-    out = output_folder(options.output or _RUNS / "compare")
+    out = output_folder(options.output or RUNS / "compare")
     if not options.logs:
         say(options, "no log given: the sample that ships with fieldloc, a real robot among 17 tubes")
     done = []
-    for log in [LogFile(path) for path in options.logs or [sample_path("woods")]]:
+    for log in [open_log(options, [path]) for path in options.logs or [sample_path("woods")]]:
         with warning_of(log), bar(options, log.path.stem) as progress:
             done.append(compare(log, {n: ALL[n] for n in names}, config, field, options.start, progress))
         warn((*done[-1].warnings, *done[-1].failures))

@@ -1,15 +1,17 @@
-"""import, info: logs as they are."""
+"""import, simulate, info: where logs come from and what is in them."""
 
 import argparse
+import json
 from functools import partial
 from pathlib import Path
 
 from fieldloc.cli.commands import Commands, Parser, positive
+from fieldloc.cli.reading import add_meaning_options, add_part_options, open_log
 from fieldloc.cli.terminal import bar, say, warn
 
 
 def add_commands(commands: Commands) -> None:
-    """import, info."""
+    """import, simulate, info."""
     woods = "import woods dataset2.mat -o woods.mcap"
     sub = commands.add("import", _import, "A data set to a log", woods)
     sources = sub.add_subparsers(dest="source", metavar="SOURCE", required=True)
@@ -22,8 +24,22 @@ def add_commands(commands: Commands) -> None:
     sub.add_argument("--robot", type=int, required=True, metavar="K", help="1 to 5")
     _add_import_options(sub, "utias-robotK.mcap")
 
-    sub = commands.add("info", _info, "What is in a log", "info woods.mcap")
-    sub.add_argument("log", type=Path, metavar="LOG")
+    what, example = "A made-up game as a log, with its truth", "simulate --scenario kidsize-game --seed 3 -o game.mcap"
+    sub = commands.add("simulate", _simulate, what, example)
+    sub.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="default: SCENARIO-SEED.mcap")
+    sub.add_argument("--scenario", default="kidsize-game", metavar="NAME|FILE.toml", help="default: %(default)s")
+    sub.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed is the same game")
+    sub.add_argument("--duration-s", type=positive, metavar="S", help="in place of the scenario's")
+    sub.add_argument(
+        "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", help="one setting of the scenario"
+    )
+    sub.add_argument("--list", action="store_true", help="the scenarios that come with fieldloc, and no game")
+
+    sub = commands.add("info", _info, "What is in a log, and what fieldloc makes of it", "info woods.mcap")
+    sub.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="several are read as one")
+    sub.add_argument("--json", action="store_true", help="all of it, for programs")
+    add_part_options(sub)
+    add_meaning_options(sub)
 
 
 def _add_import_options(sub: Parser, default: str) -> None:
@@ -47,11 +63,33 @@ def _import(options: argparse.Namespace) -> None:
     say(options, f"{done.path}: " + ", ".join(f"{n} {topic}" for topic, n in sorted(done.counts.items())))
 
 
+def _simulate(options: argparse.Namespace) -> None:
+    from logs.output import output_file
+    from logs.simulate import SCENARIOS, load_scenario, simulate, with_settings
+
+    if options.list:
+        print("\n".join(SCENARIOS))
+        return
+    scenario = with_settings(load_scenario(options.scenario), options.set)
+    out = output_file(options.output or Path(f"{Path(options.scenario).stem}-{options.seed}.mcap"))
+    with bar(options, "simulating") as progress:
+        counts = simulate(out, scenario, options.seed, options.duration_s, progress)
+    say(options, f"{out}: " + ", ".join(f"{n} {topic}" for topic, n in sorted(counts.items())))
+
+
 def _info(options: argparse.Namespace) -> None:
-    from logs.info import summarize
+    from logs.info import summary_of
+    from logs.info_json import summary_document
     from logs.info_text import format_summary
 
     with bar(options, "reading"):
-        summary = summarize(options.log)
-    print(format_summary(summary))
+        log = open_log(options, options.logs)
+        summary = summary_of(log)
+    print(json.dumps(summary_document(summary, log.container), indent=1) if options.json else format_summary(summary))
     warn(summary.warnings)
+
+
+def _seed(text: str) -> int:
+    if text.isascii() and text.isdigit():
+        return int(text)
+    raise argparse.ArgumentTypeError(f"'{text}' is not a whole number, 0 or more")
