@@ -6,9 +6,10 @@ whole batch is for the readers that go one by one, which alone say what is wrong
 a change to one changes no other.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain
+from itertools import chain, repeat
 from typing import TypeVar
 
 import msgspec
@@ -49,6 +50,17 @@ def reader(kind: type[T]) -> Callable[[Sequence[bytes]], list[T]]:
     return read
 
 
+def records(kind: type[T], *columns: Iterable[object]) -> list[T]:
+    """Frozen dataclasses with slots, all fields by column in their order: as by calling `kind`, at half the price."""
+    if "__post_init__" in vars(kind) or len(columns) != len(slots := kind.__dict__["__slots__"]):
+        return [*map(kind, *columns)]
+    first = [*columns[0]]
+    out = [*map(object.__new__, repeat(kind, len(first)))]
+    for name, column in zip(slots, (first, *columns[1:]), strict=True):
+        deque(map(vars(kind)[name].__set__, out, column), maxlen=0)  # a frozen one's own way is twice as long
+    return out
+
+
 def stamps(values: Sequence[object]) -> list[int]:
     """The same, if all are whole numbers that MCAP's times can be."""
     whole = [value for value in values if type(value) is int]
@@ -87,10 +99,11 @@ def covariances(texts: Sequence[msgspec.Raw], size: int) -> list[FloatArray]:
 def covariances_or_none(texts: Sequence[msgspec.Raw], size: int) -> list[FloatArray | None]:
     """The same, None for a null."""
     said = [*map(bytes, texts)]
-    if b"null" not in said:
-        return [*apart(_covariances(said, size))]
-    read = iter(apart(_covariances([text for text in said if text != b"null"], size)))
-    return [None if text == b"null" else next(read) for text in said]
+    told = [text for text in said if text != b"null"]
+    if not told:
+        return [None] * len(said)
+    read = iter(apart(_covariances(told, size)))
+    return [None if text == b"null" else next(read) for text in said] if len(told) < len(said) else [*read]
 
 
 def definite(matrices: Sequence[_Matrix], size: int) -> FloatArray:
@@ -103,7 +116,8 @@ def _covariances(texts: Sequence[bytes], size: int) -> FloatArray:
     number = {text: i for i, text in enumerate(dict.fromkeys(texts))}
     with _odd():
         different = [*map(_MATRICES[size], number)]
-    return _checked(different, size, definite=False)[[number[text] for text in texts]]
+    table = _checked(different, size, definite=False)
+    return table if len(table) == len(texts) else table[[number[text] for text in texts]]
 
 
 def _checked(matrices: Sequence[_Matrix], size: int, definite: bool) -> FloatArray:

@@ -165,18 +165,27 @@ def image_features_batch(datas: Sequence[bytes]) -> list[ImageFeatures]:
     mounts = _mounts([m.mount for m in read])
     posts = iter(_posts([post for m in read for post in m.posts]))
     lines = iter(_lines([line for m in read for line in m.lines]))
-    return [
-        ImageFeatures(stamp_ns, mount, tuple(islice(posts, len(m.posts))), tuple(islice(lines, len(m.lines))))
-        for m, stamp_ns, mount in zip(read, batch.stamps([m.stamp_ns for m in read]), mounts, strict=True)
-    ]
+    return batch.records(
+        ImageFeatures,
+        batch.stamps([m.stamp_ns for m in read]),
+        mounts,
+        [tuple(islice(posts, len(m.posts))) for m in read],
+        [tuple(islice(lines, len(m.lines))) for m in read],
+    )
 
 
 def _mounts(read: Sequence[_MountMessage]) -> list[CameraMount]:
     batch.positive([m.height_m for m in read])
-    return [
-        CameraMount(m.height_m, m.pan_rad, m.tilt_rad, m.roll_rad, covariance, m.x_m, m.y_m)
-        for m, covariance in zip(read, batch.covariances([m.covariance for m in read], 4), strict=True)
-    ]
+    return batch.records(
+        CameraMount,
+        [m.height_m for m in read],
+        [m.pan_rad for m in read],
+        [m.tilt_rad for m in read],
+        [m.roll_rad for m in read],
+        batch.covariances([m.covariance for m in read], 4),
+        [m.x_m for m in read],
+        [m.y_m for m in read],
+    )
 
 
 def _posts(read: Sequence[_PostMessage]) -> list[PostObservation]:
@@ -186,12 +195,16 @@ def _posts(read: Sequence[_PostMessage]) -> list[PostObservation]:
     foot_covariances = batch.covariances_or_none([m.foot_covariance_px2 for m in read], 2)
     if any((m.foot_px is None) != (matrix is None) for m, matrix in zip(read, foot_covariances, strict=True)):
         raise batch.Odd
-    return [
-        PostObservation(edge, covariance, None if m.foot_px is None else next(feet), foot_covariance, m.label)
-        for m, edge, covariance, foot_covariance in zip(read, edges, covariances, foot_covariances, strict=True)
-    ]
+    return batch.records(
+        PostObservation,
+        edges,
+        covariances,
+        [None if m.foot_px is None else next(feet) for m in read],
+        foot_covariances,
+        [m.label for m in read],
+    )
 
 
 def _lines(read: Sequence[_LineMessage]) -> list[LineObservation]:
     ends = batch.arrays(chain.from_iterable(chain.from_iterable([m.ends_px for m in read])), 2, 2)
-    return [*map(LineObservation, ends, batch.covariances([m.covariance_px2 for m in read], 4))]
+    return batch.records(LineObservation, ends, batch.covariances([m.covariance_px2 for m in read], 4))

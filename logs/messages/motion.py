@@ -150,24 +150,24 @@ def odometry_batch(datas: Sequence[bytes]) -> list[Odometry]:
     read = _read_odometry(datas)
     velocities = batch.arrays([x for m in read for x in (m.forward_mps, m.left_mps, m.turn_radps)], 3)
     covariances = batch.covariances_or_none([m.covariance for m in read], 3)
-    return [*map(Odometry, batch.stamps([m.stamp_ns for m in read]), velocities, covariances)]
+    return batch.records(Odometry, batch.stamps([m.stamp_ns for m in read]), velocities, covariances)
 
 
 def compass_batch(datas: Sequence[bytes]) -> list[Compass]:
     read = _read_compass(datas)
     sigmas = batch.positive([m.sigma_rad for m in read])
-    return [*map(Compass, batch.stamps([m.stamp_ns for m in read]), [m.heading_rad for m in read], sigmas)]
+    return batch.records(Compass, batch.stamps([m.stamp_ns for m in read]), [m.heading_rad for m in read], sigmas)
 
 
 def truth_batch(datas: Sequence[bytes]) -> list[Truth]:
     read = _read_truth(datas)
-    return [*map(Truth, batch.stamps([m.stamp_ns for m in read]), poses(read))]
+    return batch.records(Truth, batch.stamps([m.stamp_ns for m in read]), poses(read))
 
 
 def estimate_batch(datas: Sequence[bytes]) -> list[Estimate]:
     read = _read_estimate(datas)
     covariances = batch.covariances([m.covariance for m in read], 3)
-    return [*map(Estimate, batch.stamps([m.stamp_ns for m in read]), poses(read), covariances)]
+    return batch.records(Estimate, batch.stamps([m.stamp_ns for m in read]), poses(read), covariances)
 
 
 def initial_pose_batch(datas: Sequence[bytes]) -> list[InitialPose]:

@@ -1,0 +1,26 @@
+"""A whole file out of what is left of one."""
+
+from pathlib import Path
+
+from logs.edit.copying import Copy, Summary, checked_output, opened, profile
+from logs.progress import Progress, unwatched
+from logs.source import Container
+from logs.writer import LogWriter
+
+
+def repair(source: Container | Path | str, out: Path | str, progress: Progress = unwatched) -> Summary:
+    """All that can be read of a damaged or unfinished log, as a whole, indexed MCAP file in the order of log time.
+
+    `lost` says what could not be read; it is empty where there was nothing to repair, and the file is a copy then.
+    FieldlocError for a file that is no log at all, or where `out` cannot be written.
+    """
+    container = opened(source)
+    path = checked_output(out, [container])
+    sources = container.sources
+    with LogWriter(path, profile=profile(sources.values()), signed=False) as writer:
+        copy = Copy(container, writer, progress)
+        copy.everything_else()
+        for channel in sources.values():
+            writer.add_source(channel)
+        copy.messages(container.messages(sources.keys()), container.span_ns or (0, 0))
+    return copy.summary(path, (*container.damage, *copy.missing()))
