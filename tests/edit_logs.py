@@ -71,10 +71,11 @@ class Fake:
     damage: tuple[str, ...] = ()
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     promised: dict[int, int] = field(default_factory=dict)
+    silent: dict[int, Source] = field(default_factory=dict)
 
     @property
     def sources(self):
-        return {message.channel: source for source, message in self.told}
+        return {message.channel: source for source, message in self.told} | self.silent
 
     @property
     def counts(self):
