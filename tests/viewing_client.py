@@ -63,6 +63,7 @@ class Client:
         head, self._buffer = self._buffer.split(b"\r\n\r\n", 1)
         assert head.startswith(b"HTTP/1.1 101"), head
         assert f"sec-websocket-protocol: {SUBPROTOCOL}".encode() in head.lower(), head
+        self._take_frames()  # what came with the answer
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):

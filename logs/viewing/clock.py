@@ -10,13 +10,18 @@ _SLOWEST, _FASTEST = 0.01, 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """jumps: how often time has jumped so far; whoever plays begins anew when it has."""
+    """Time at a moment.
+
+    jumps: how often it has jumped so far; whoever plays begins anew when it has. begin_ns: where the last jump led, at
+    first the start: time may have gone on since, but nothing from there on is to be left out.
+    """
 
     position_ns: int
     rate: float
     playing: bool
     ended: bool
     jumps: int
+    begin_ns: int
 
 
 class Clock:
@@ -31,7 +36,7 @@ class Clock:
         self.start_ns, self.end_ns = start_ns, end_ns
         self._monotonic_s = monotonic_s
         self._changed = threading.Condition()
-        self._anchor_ns = self._within(at_ns)
+        self._anchor_ns = self._begin_ns = self._within(at_ns)
         self._anchor_s = monotonic_s()
         self._rate = _sane(rate)
         self._playing = self._ended = False
@@ -40,7 +45,7 @@ class Clock:
     @property
     def now(self) -> Playback:
         with self._changed:
-            return Playback(self._position_ns(), self._rate, self._playing, self._ended, self._jumps)
+            return self._now()
 
     def set(self, playing: bool, rate: float | None = None, seek_ns: int | None = None) -> Playback:
         """What a person at the controls wants. Playing on at the end begins from the start."""
@@ -49,14 +54,14 @@ class Clock:
                 seek_ns = self.start_ns
             self._anchor_ns, self._anchor_s = self._position_ns(), self._monotonic_s()
             if seek_ns is not None:
-                self._anchor_ns = self._within(seek_ns)
+                self._anchor_ns = self._begin_ns = self._within(seek_ns)
                 self._jumps += 1
                 self._ended = False
             if rate is not None:
                 self._rate = _sane(rate)
             self._playing = playing
             self._changed.notify_all()
-            return Playback(self._position_ns(), self._rate, self._playing, self._ended, self._jumps)
+            return self._now()
 
     def end(self, jumps: int) -> bool:
         """All is shown; False where time has jumped since."""
@@ -86,6 +91,10 @@ class Clock:
             if left_s > 0 and not self._nudges:
                 self._changed.wait(left_s)
             self._nudges = 0
+
+    def _now(self) -> Playback:
+        position_ns = self._position_ns()
+        return Playback(position_ns, self._rate, self._playing, self._ended, self._jumps, self._begin_ns)
 
     def _position_ns(self) -> int:
         if not self._playing:

@@ -2,6 +2,7 @@
 
 import queue
 import threading
+import time
 from collections.abc import Sequence
 
 import foxglove
@@ -11,20 +12,21 @@ from logs.source import Encoded, Source
 from logs.viewing.clock import Clock, Playback
 
 _CAPABILITIES = [websocket.Capability.Time, websocket.Capability.PlaybackControl]
+_SETTLED_S = 0.15  # a client subscribes to one topic after the other, and is not to miss the first messages of some
 _Key = tuple[str, str, str, str, bytes]
 
 
 class Outlet(websocket.ServerListener):
     """Never waits for a client: what a slow one does not take in time it does not get.
 
-    sources: advertised from the beginning. autoplay: time begins to run when the first client subscribes, unless one
-    has taken the controls by then. newcomers: set when a client has subscribed to something and needs to be told what
-    holds.
+    sources: advertised from the beginning. autoplay: time begins to run when the first client has subscribed, unless
+    one has taken the controls by then.
     """
 
     def __init__(self, sources: Sequence[Source], clock: Clock, autoplay: bool) -> None:
         self._clock = clock
         self._autoplay = autoplay
+        self._asked_s: float | None = None
         self._context = foxglove.Context()
         self._channels: dict[_Key, foxglove.Channel] = {}
         self._server: websocket.WebSocketServer | None = None
@@ -66,7 +68,10 @@ class Outlet(websocket.ServerListener):
         self._running.broadcast_time(now.position_ns)
 
     def newcomers(self) -> set[str]:
-        """Topics that a client has subscribed to since the last call."""
+        """Topics that a client has subscribed to since the last call. Lets time run when the first one has them all."""
+        if self._autoplay and self._asked_s is not None and time.monotonic() > self._asked_s + _SETTLED_S:
+            self._autoplay = False
+            self._clock.set(playing=True)
         topics = set()
         while True:
             try:
@@ -76,9 +81,7 @@ class Outlet(websocket.ServerListener):
 
     def on_subscribe(self, client: websocket.Client, channel: websocket.ChannelView) -> None:
         self._newcomers.put(channel.topic)
-        if self._autoplay:
-            self._autoplay = False
-            self._clock.set(playing=True)
+        self._asked_s = time.monotonic()
         self._clock.nudge()
 
     def on_playback_control_request(

@@ -33,14 +33,14 @@ class Player:
         """Until it is told to stop."""
         while not self._stop.is_set():
             begun = self._clock.now
-            self._remind(begun.position_ns)
-            self._stage.tell(begun, did_seek=begun.jumps > 0)
+            self._stage.tell(begun, did_seek=begun.jumps > 0)  # first: viewers forget everything at a jump
+            self._remind(begun.begin_ns)
             if self._show(begun) and self._until(self._clock.end_ns, begun.jumps):
                 self._at_the_end(begun.jumps)
 
     def _show(self, begun: Playback) -> bool:
         """All from there on; False where time has jumped meanwhile, or all is over."""
-        for message in self._programme.messages(begun.position_ns):
+        for message in self._programme.messages(begun.begin_ns):
             if not self._until(message.log_time_ns, begun.jumps):
                 return False
             self._stage.send(message)

@@ -120,20 +120,29 @@ def log_scenes(log: LogFile, frames: topics.Frames) -> Scenes | None:
     kinds = [kind for kind in (Estimate, Truth, LandmarkScan, ImageFeatures) if log.has(kind)]
     if not kinds and field is None:
         return None
-    guide: type[Record] = Estimate if Estimate in kinds else Truth
-    events: list[Event] = []
-    pose: FloatArray | None = None
-    names = [log.roles[BY_KIND[kind].role] for kind in kinds]
-    for message in log.messages(names) if names else ():
+    guide = Estimate if Estimate in kinds else Truth
+    roles = {BY_KIND[kind].role for kind in kinds}
+    played = {source.topic for source, count in log.sources if count and roles & {*log.plays(source)}}
+    found: list[tuple[int, Shown]] = []
+    for message in log.messages(played) if played else ():
         record = message.record
-        if not isinstance(record, Estimate | Truth | LandmarkScan | ImageFeatures) or record.stamp_ns not in _STAMPS_NS:
-            continue
-        if isinstance(record, Estimate | Truth) and isinstance(record, guide):
-            pose = record.pose
-        events.append(Event(message.log_time_ns, record, pose))
+        if isinstance(record, Estimate | Truth | LandmarkScan | ImageFeatures) and record.stamp_ns in _STAMPS_NS:
+            found.append((message.log_time_ns, record))
+    events = _with_poses(sorted(found, key=lambda one: (one[0], not isinstance(one[1], guide))), guide)
     span_ns = (events[0].log_time_ns, events[-1].log_time_ns) if events else log.span_ns or (0, 0)
     lasting = _lasting(field, [event.record for event in events], frames)
     return Scenes(Timeline(events), span_ns, lasting, camera, field, frames)
+
+
+def _with_poses(found: Sequence[tuple[int, Shown]], guide: type[Estimate] | type[Truth]) -> list[Event]:
+    """Each with the last pose that the guide told by then."""
+    pose: FloatArray | None = None
+    events = []
+    for log_time_ns, record in found:
+        if isinstance(record, guide):
+            pose = record.pose
+        events.append(Event(log_time_ns, record, pose))
+    return events
 
 
 def run_scenes(run: Run, truth: Sequence[Truth], offset_ns: int, frames: topics.Frames) -> Scenes:
