@@ -34,7 +34,8 @@ def clock_offset_ns(log: LogFile) -> int:
     offsets: list[int] = []
     for kind in (Odometry, ImageFeatures, LandmarkScan, Compass):
         if log.has(kind):
-            messages = islice(log.messages([log.roles[BY_KIND[kind].role]]), _SAMPLES)
+            played_by = log.roles[BY_KIND[kind].role].split(", ")
+            messages = islice(log.messages(played_by), _SAMPLES)
             records = [(message.log_time_ns, message.record) for message in messages]
             offsets += [logged_ns - record.stamp_ns for logged_ns, record in records if isinstance(record, kind)]
     if not offsets:

@@ -25,6 +25,7 @@ from fieldloc.measurements import (
     Truth,
 )
 from logs.estimates import read_estimates, read_truth, write_estimates
+from logs.foreign.settings import LogMapping
 from logs.foxglove import topics
 from logs.reader import LogFile
 from logs.reader.container import open_container
@@ -337,6 +338,15 @@ def test_log_times_of_another_clock_shift_the_results(tmp_path):
     back = read_estimates(LogFile(tmp_path / "out.mcap"))
     assert back.stamps_ns.tolist() == [e.stamp_ns for e in estimates()]  # measured when they were
     assert [m.log_time_ns for m in on(tmp_path / "out.mcap", topics.POSE)] == [m.log_time_ns for m in estimated]
+
+
+def test_clocks_are_compared_on_all_topics_of_a_role(tmp_path):
+    scans = [one for one in measurements() if isinstance(one, LandmarkScan)]
+    with LogWriter(tmp_path / "in.mcap") as log:
+        for i, scan in enumerate(scans):
+            log.write(("/left", "/right")[i % 2], scan, scan.stamp_ns + 60 * SECOND)
+    mapping = LogMapping(roles={"landmarks": ("/left", "/right")})
+    assert clock_offset_ns(LogFile(tmp_path / "in.mcap", mapping)) == 60 * SECOND
 
 
 def test_a_log_without_measurements_has_no_offset(tmp_path):

@@ -73,26 +73,31 @@ def _of_image(
     mount = image.mount
     eye = se2.apply(field_from_robot, np.array([mount.x_m, mount.y_m]))
     standing = [post for post in image.posts if post.foot_px is not None]
-    feet, feet_seen = _on_the_ground(image, camera, np.array([post.foot_px for post in standing]).reshape(-1, 2))
-    labels = [post.label for post, seen in zip(standing, feet_seen, strict=True) if seen]
-    lines = _rays(eye, se2.apply(field_from_robot, feet[feet_seen]), labels, field)
-    footless = np.array([post.edges_px.mean(axis=0) for post in image.posts if post.foot_px is None]).reshape(-1, 2)
-    towards = camera.ray(footless)[0] @ robot_from_camera(mount).T[:, :2]
-    reach = towards * (_BEARING_LENGTH_M / np.linalg.norm(towards, axis=-1, keepdims=True))
-    ends = se2.apply(field_from_robot, np.array([mount.x_m, mount.y_m]) + reach[np.isfinite(reach).all(axis=-1)])
-    if len(ends):
-        lines.append(shapes.segments(_from(eye, ends), shapes.PALE_BLUE, _RAY_M, _ABOVE_LINES_M))
-    pixels = np.array([line.ends_px for line in image.lines]).reshape(-1, 2)
-    ground, visible = _on_the_ground(image, camera, pixels)
-    both = visible.reshape(-1, 2).all(axis=1)
+    pixels = [*(post.foot_px for post in standing), *(pixel for line in image.lines for pixel in line.ends_px)]
+    ground, near = _on_the_ground(image, camera, np.array(pixels).reshape(-1, 2))
+    ground = se2.apply(field_from_robot, ground)
+    feet, foot_near = ground[: len(standing)], near[: len(standing)]
+    labels = [post.label for post, seen in zip(standing, foot_near, strict=True) if seen]
+    drawn = _rays(eye, feet[foot_near], labels, field)
+    if len(standing) < len(image.posts):
+        middles = np.array([post.edges_px.mean(axis=0) for post in image.posts if post.foot_px is None])
+        towards = camera.ray(middles)[0] @ robot_from_camera(mount).T[:, :2]
+        bearings = np.arctan2(towards[:, 1], towards[:, 0]) + field_from_robot[2]
+        ends = eye + _BEARING_LENGTH_M * np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
+        ends = ends[np.isfinite(bearings)]
+        if len(ends):
+            drawn.append(shapes.segments(_from(eye, ends), shapes.PALE_BLUE, _RAY_M, _ABOVE_LINES_M))
+    both = near[len(standing) :].reshape(-1, 2).all(axis=1)
     if both.any():
-        seen = se2.apply(field_from_robot, ground.reshape(-1, 2, 2)[both])
-        lines.append(shapes.segments(seen, shapes.YELLOW, _LINE_M, _ABOVE_LINES_M))
-    return lines
+        seen = ground[len(standing) :].reshape(-1, 2, 2)[both]
+        drawn.append(shapes.segments(seen, shapes.YELLOW, _LINE_M, _ABOVE_LINES_M))
+    return drawn
 
 
 def _on_the_ground(image: ImageFeatures, camera: Camera, pixels: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Where pixels (n, 2) show the ground, in the robot frame, and which show it near enough."""
+    if not len(pixels):
+        return np.zeros((0, 2)), np.zeros(0, dtype=np.bool_)
     ground, mask = robot_ground_points(camera, image.mount, pixels)
     return ground, mask & (np.linalg.norm(np.where(mask[:, None], ground, 0.0), axis=-1) < _FARTHEST_M)
 
