@@ -15,6 +15,13 @@ _LENGTH = struct.Struct("<I")
 _LONGEST_HEADER = 1 << 16  # a connection's has its topic in it twice; nothing is near this
 _LOOK_AHEAD = 1 << 20
 _LARGEST_CHUNK = 1 << 31
+_MARK = b"compression="
+_BEFORE_MARK = (
+    8,
+    16,
+    21,
+    29,
+)  # bytes of the header before it: two lengths; and `op`, `size` or both with their lengths
 _BROKEN = (EOFError, OSError, RuntimeError, ValueError)  # what bz2 and lz4 raise on bytes that are none of theirs
 
 
@@ -83,22 +90,21 @@ def header_fields(header: bytes) -> Mapping[bytes, bytes] | None:
 
 
 def _next_chunk(file: BinaryIO, position: int, size: int) -> int:
-    """Where the next chunk record begins, the file's size if nowhere: its header begins with its compression."""
-    mark = b"compression="
-    before = 8  # the lengths of the header and of this field
+    """Where the next chunk record begins, the file's size if nowhere: one of its three fields is its compression."""
     while position < size:
         file.seek(position)
         block = file.read(_LOOK_AHEAD)
-        at = block.find(mark)
+        at = block.find(_MARK)
         while at >= 0:
-            if at >= before:
-                record = _record(file, position + at - before, size)
+            for before in _BEFORE_MARK:
+                start = position + at - before
+                record = _record(file, start, size) if at >= before else None
                 if record is not None and record.kind == CHUNK:
-                    return position + at - before
-            at = block.find(mark, at + 1)
+                    return start
+            at = block.find(_MARK, at + 1)
         if len(block) < _LOOK_AHEAD:
             return size
-        position += len(block) - before - len(mark)
+        position += len(block) - max(_BEFORE_MARK) - len(_MARK)
     return size
 
 

@@ -1,13 +1,13 @@
 """Bags of ROS 1 and ROS 2 as containers: a file of either kind, or a folder as `ros2 bag record` makes it."""
 
 import re
-import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from fieldloc.errors import FieldlocError
 from logs.ros.bag_records import MAGIC as ROS1_MAGIC
+from logs.ros.passing import PassingFolder
 from logs.ros.ros1_bag import Ros1Bag
 from logs.ros.sqlite_bag import SqliteBag
 from logs.ros.zstd import inflated, unpack_file
@@ -43,10 +43,11 @@ def _file(path: Path) -> Container:
 
 
 def _unpacked(path: Path) -> Container:
-    folder = tempfile.TemporaryDirectory(prefix="fieldloc-")
-    file = Path(folder.name) / path.name.removesuffix(".zstd")
+    """Of a file that rosbag2 compressed as a whole; the unpacked one goes with the container."""
+    folder = PassingFolder()
+    file = folder.path / path.name.removesuffix(".zstd")
     unpack_file(path, file)
-    return Bag(path, _file(file), (), False, folder)
+    return Bag(path, _file(file), keep=folder)
 
 
 def _folder(path: Path) -> Container:
@@ -69,7 +70,7 @@ def _folder(path: Path) -> Container:
     if not parts and problem is not None:
         raise problem
     inflate = re.search(r"^\s*compression_mode:\s*[\"']?message", text, re.IGNORECASE | re.MULTILINE) is not None
-    return Bag(path, _together(parts), tuple(damage), inflate, None)
+    return Bag(path, _together(parts), tuple(damage), inflate)
 
 
 def _together(parts: Sequence[Container]) -> Container:
@@ -104,9 +105,9 @@ class Bag:
 
     path: Path
     inside: Container
-    more_damage: tuple[str, ...]
-    inflate: bool
-    keep: "tempfile.TemporaryDirectory[str] | None"
+    more_damage: tuple[str, ...] = ()
+    inflate: bool = False
+    keep: PassingFolder | None = None
 
     @property
     def sources(self) -> Mapping[int, Source]:

@@ -123,14 +123,16 @@ class Ros1Bag:
         if file.read(len(MAGIC)) != MAGIC:
             raise FieldlocError(f"{self.path}: is no ROS 1 bag of version 2.0; `rosbag fix` brings older ones up to it")
         found: dict[int, list[NDArray[np.void]]] = {}  # by chunk
+        if size == len(MAGIC):
+            self._note(f"it is cut off at byte {size}")
         for record in records(file, size):
             last = len(self._chunks) - 1
             if isinstance(record, Broken):
                 self._note(f"{record.end - record.start} bytes from {record.start} on are broken and left out")
                 found.pop(last, None)  # who knows whether that was all of its index
                 continue
-            if not record.whole:
-                self._note(f"it is cut off at byte {size}, in the middle of a record")
+            if not record.whole or (record.kind == FILE_HEADER and (record.number(b"index_pos") or 0) > size):
+                self._note(f"it is cut off at byte {size}")
             if record.kind == CHUNK:
                 self._chunks.append(record)
             elif record.kind == INDEX and last >= 0 and record.whole:

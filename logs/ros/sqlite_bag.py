@@ -2,9 +2,8 @@
 
 import shutil
 import sqlite3
-import tempfile
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from urllib.parse import quote
 
@@ -12,12 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.errors import FieldlocError
+from logs.ros.passing import PassingFolder
 from logs.ros.standard import standard_text
 from logs.ros.zstd import inflated
 from logs.source import Attachment, RawMessage, Source
 
+_BROKEN = (sqlite3.Error, UnicodeDecodeError)  # the latter where it cannot put into words what is broken
 _UNFINISHED = ("-wal", "-journal")  # what SQLite has not yet put into the file itself
 _FURTHEST = 1 << 20  # rows skipped at once behind a broken page
+_LOST = b"\xf3lost in a cut\xf3!"  # 16 bytes for those that are missing; a page that begins so is no page
+_IN_A_MESSAGE = _LOST[4:] + _LOST[:4]  # where a long message goes on in a missing page, behind a page number
+_SMALLEST_PAGE = 512
+_MOST_MISSING = 10  # times what is there; more than that, and it is the header that is broken
 
 
 class SqliteBag:
@@ -29,17 +34,23 @@ class SqliteBag:
         self._damage: list[str] = []
         self._file = path
         try:
-            if any(_size(path.with_name(path.name + end)) > 0 for end in _UNFINISHED):
-                self._copy = tempfile.TemporaryDirectory(prefix="fieldloc-")  # gone when this is
-                self._file = _with_its_rest(path, Path(self._copy.name))
+            missing = _missing_bytes(path)
+            self._filled = missing > 0
+            if missing > 0 or any(_size(path.with_name(path.name + end)) > 0 for end in _UNFINISHED):
+                self._folder = PassingFolder()
+                self._file = _mended(path, self._folder.path, missing)
+            if missing > 0:
+                self._note(f"the last {missing} bytes of the database are missing")
             with closing(self._connect()) as base:
                 self.sources = _sources(base)
                 self._rows: NDArray[np.int64] | None = None
                 try:
                     self.counts, self.span_ns = _overview(base, self.sources)
-                except sqlite3.Error:
+                except _BROKEN:
                     self._salvage(base)
-        except (sqlite3.Error, OSError) as error:
+                if self._filled and self._rows is None:  # nothing that leads to a message, but what one goes on in
+                    self._salvage(base)
+        except (*_BROKEN, OSError) as error:
             raise FieldlocError(
                 f"{self.path}: cannot be read as a rosbag2 database: {error}; "
                 "`sqlite3 broken.db3 .recover | sqlite3 mended.db3` may save what is in it"
@@ -57,7 +68,7 @@ class SqliteBag:
         self, channels: Collection[int], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RawMessage]:
         """Log and publish time are the same: when the recorder received it."""
-        start, end = max(start_ns or 0, 0), min(_ALWAYS if end_ns is None else end_ns, _ALWAYS)
+        start, end = min(max(start_ns or 0, 0), _ALWAYS), min(_ALWAYS if end_ns is None else end_ns, _ALWAYS)
         wanted = sorted(set(channels) & set(self.sources))
         done = (start, -1)
         with closing(self._connect()) as base:
@@ -73,7 +84,7 @@ class SqliteBag:
                             yield message
                             done = message.log_time_ns, row[0]
                     return
-                except sqlite3.Error:
+                except _BROKEN:
                     self._salvage(base)
             yield from self._saved(base, wanted, done, end)
 
@@ -89,9 +100,10 @@ class SqliteBag:
             try:
                 query = "SELECT id, topic_id, timestamp, data FROM messages WHERE id = ?"
                 message = _message(base.execute(query, (row,)).fetchone())
-            except sqlite3.Error:
+            except _BROKEN:
                 message = None
-            if message is None or message.log_time_ns != time or message.channel != channel:
+            right = message is not None and message.log_time_ns == time and message.channel == channel
+            if message is None or not right or (self._filled and _IN_A_MESSAGE in message.data):
                 lost += 1
             else:
                 yield message
@@ -113,7 +125,7 @@ class SqliteBag:
     def _connect(self) -> sqlite3.Connection:
         try:
             base = sqlite3.connect(f"file:{quote(str(self._file.absolute()))}?mode=ro&immutable=1", uri=True)
-        except sqlite3.Error as error:
+        except _BROKEN as error:
             raise FieldlocError(f"{self.path}: cannot be opened: {error}") from None
         base.text_factory = lambda text: text.decode(errors="replace")
         return base
@@ -126,13 +138,34 @@ def _size(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
 
 
-def _with_its_rest(path: Path, folder: Path) -> Path:
-    """A copy to which SQLite adds what a killed recorder left beside the file; the copy is what gets written to."""
+def _missing_bytes(path: Path) -> int:
+    """How much shorter the file is than its header says (sqlite.org/fileformat2.html, sections 1.3.2 and 1.3.8)."""
+    with path.open("rb") as file:
+        head = file.read(100)
+    page = int.from_bytes(head[16:18], "big")
+    said = int.from_bytes(head[28:32], "big") if head[24:28] == head[92:96] else 0
+    missing = said * (65536 if page == 1 else page) - _size(path)
+    return missing if missing < _MOST_MISSING * _size(path) else 0
+
+
+def _mended(path: Path, folder: Path, missing: int) -> Path:
+    """A copy of its full length, to which SQLite adds what a killed recorder left beside the file.
+
+    SQLite reads nothing of a file that is too short, but what is whole of one with pages that are none.
+    """
     for name in (path.name, *(path.name + end for end in _UNFINISHED)):
         if path.with_name(name).exists():
             shutil.copyfile(path.with_name(name), folder / name)
     copy = folder / path.name
-    with closing(sqlite3.connect(copy)) as base:
+    if missing > 0:
+        with copy.open("r+b") as file:
+            there = _size(copy)
+            whole = there - there % _SMALLEST_PAGE
+            file.truncate(whole)
+            file.seek(whole)
+            for _ in range((there + missing - whole) // _SMALLEST_PAGE):
+                file.write(_LOST * (_SMALLEST_PAGE // len(_LOST)))
+    with closing(sqlite3.connect(copy)) as base, suppress(*_BROKEN):
         base.execute("PRAGMA journal_mode=DELETE").fetchall()
     return copy
 
@@ -191,7 +224,7 @@ def _reachable(base: sqlite3.Connection, sources: Mapping[int, Source]) -> NDArr
                 if channel in sources and isinstance(time, int) and time >= 0:
                     found.append((time, row, channel))
             break
-        except sqlite3.Error:
+        except _BROKEN:
             step = max(2 * step, 1)
     return np.array(sorted(found), np.int64).reshape(-1, 3)
 
