@@ -7,11 +7,20 @@ from simulated_games import IDEAL, KIDSIZE, game, generator
 from fieldloc import pose as se2
 from fieldloc.pose import FloatArray
 from logs.simulate.course import SAMPLE_NS
+from logs.simulate.events import draw_events
 from logs.simulate.game import BEGIN_NS
 from logs.simulate.legs import SAMPLE_S, leg, path, standing
 from logs.simulate.plan import Player
 from logs.simulate.robots import make_way, walk_about
-from logs.simulate.settings import OthersSettings, StartSettings, WalkSettings
+from logs.simulate.settings import (
+    FallSettings,
+    KidnappingSettings,
+    OthersSettings,
+    PenaltySettings,
+    StartSettings,
+    WalkSettings,
+)
+from logs.simulate.walk import take_walk
 
 WALK = WalkSettings()
 LONG = replace(IDEAL, duration_s=600.0)
@@ -45,6 +54,17 @@ def test_a_long_leg_reaches_the_top_speed_and_takes_as_long_as_that_says() -> No
     # a half cosine up and one down cost one ramp: pi / 2 * v / a
     ramp_s = 0.5 * np.pi * WALK.forward_mps / WALK.acceleration_mps2
     assert abs(len(velocities) * SAMPLE_S - (3.5 / WALK.forward_mps + ramp_s)) <= SAMPLE_S
+
+
+@pytest.mark.parametrize("tangent", [[0.05, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.1], [0.03, 0.01, 0.05]])
+def test_a_short_leg_speeds_up_and_slows_down_within_the_limits(tangent: list[float]) -> None:
+    velocities = leg(WALK, np.array(tangent))
+    np.testing.assert_allclose(path(np.zeros(3), velocities)[-1], se2.exp(np.array(tangent)), atol=1e-12)
+    rests = np.concatenate([np.zeros((1, 3)), velocities, np.zeros((1, 3))])
+    accelerations = np.diff(rests, axis=0) / SAMPLE_S
+    shares = np.hypot(*accelerations[:, :2].T) / 0.5, np.abs(accelerations[:, 2]) / 2.0
+    # all of what is allowed, but for the few samples' share that rounding takes
+    assert 0.85 < np.max(shares) <= 1.01
 
 
 def test_a_weaving_leg_ends_in_the_heading_of_a_straight_one() -> None:
@@ -93,6 +113,37 @@ def test_a_player_does_all_that_players_do() -> None:
         assert moments.sum() * SAMPLE_S > 1.0, kind
 
 
+class _Forgetful(Player):
+    """Counts how often it is told to think again."""
+
+    forgot = 0
+
+    def think_again(self) -> None:
+        self.forgot += 1
+        super().think_again()
+
+
+def test_a_player_thinks_again_after_everything_that_happens_to_it() -> None:
+    player = _Forgetful(WALK, KIDSIZE.bounds, generator(1))
+    events = draw_events(
+        60.0,
+        KIDSIZE.bounds,
+        (FallSettings(at_s=(10.0, 40.0)), generator(2)),
+        (KidnappingSettings(at_s=(25.0,)), generator(3)),
+        (PenaltySettings(), generator(4)),
+    )
+    walk = take_walk(np.zeros(3), 1.0, 0, 60.0, player, events)
+    assert player.forgot == len(walk.happened) == 3
+
+
+def test_to_think_again_is_to_drop_what_was_begun() -> None:
+    stubborn, open_minded = Player(WALK, KIDSIZE.bounds, generator(3)), Player(WALK, KIDSIZE.bounds, generator(3))
+    pose = path(np.zeros(3), stubborn.next_piece(np.zeros(3)))[-1]
+    np.testing.assert_array_equal(path(np.zeros(3), open_minded.next_piece(np.zeros(3)))[-1], pose)
+    open_minded.think_again()
+    assert len(stubborn.next_piece(pose)) != len(open_minded.next_piece(pose))
+
+
 def test_a_player_that_is_told_to_think_again_plans_from_where_it_is() -> None:
     player = Player(WALK, KIDSIZE.bounds, generator(3))
     player.next_piece(np.zeros(3))
@@ -117,6 +168,18 @@ def test_samples_are_10_ms_apart_and_cover_the_game() -> None:
 def test_velocities_lead_from_each_pose_to_the_next(sway_m: float) -> None:
     course = game(LONG, walk=replace(IDEAL.walk, sway_m=sway_m)).course
     np.testing.assert_allclose(_steps(course.poses, course.velocities), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("sway_m", [0.0, 0.02])
+def test_velocities_are_nothing_before_a_jump_and_lead_on_everywhere_else(sway_m: float) -> None:
+    short = KidnappingSettings(at_s=tuple(range(5, 100, 5)), carry_s=(0.05, 0.1))  # the body still sways in the air
+    of = game(LONG, duration_s=100.0, kidnappings=short, walk=replace(IDEAL.walk, sway_m=sway_m))
+    before_jump = of.walk.jumped[1:]
+    assert before_jump.sum() == 19
+    np.testing.assert_array_equal(of.course.velocities[:-1][before_jump], 0.0)
+    steps = _steps(of.course.poses, of.course.velocities)
+    np.testing.assert_allclose(steps[~before_jump], 0.0, atol=1e-12)
+    assert np.hypot(*steps[before_jump][:, :2].T).max() > 2.0
 
 
 def test_the_body_sways_over_the_feet_by_what_is_said_once_in_two_steps() -> None:

@@ -338,6 +338,8 @@ def test_numbers_that_make_no_game_are_refused(tmp_path: Path) -> None:
             simulate(tmp_path / "game.mcap", QUIET, 1, duration_s)
     with pytest.raises(FieldlocError, match="seed: needs to be at least 0, got -1"):
         simulate(tmp_path / "game.mcap", QUIET, -1)
+    with pytest.raises(FieldlocError, match=r"start\.pose: needs to be within 200 m"):
+        simulate(tmp_path / "game.mcap", replace(QUIET, start=StartSettings((0.0, -201.0, 0.0))), 1)
     with pytest.raises(FieldlocError, match="such field map"):
         simulate(tmp_path / "game.mcap", replace(QUIET, field="moon"), 1)
 

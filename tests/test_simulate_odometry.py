@@ -50,7 +50,7 @@ def _with(settings: OdometrySettings, seed: int = 0, duration_s: float = 600.0) 
 @pytest.mark.parametrize(("rate_hz", "jitter_s"), [(50.0, 0.0), (50.0, 0.003), (83.0, 0.001), (7.0, 0.02)])
 def test_without_errors_dead_reckoning_is_the_truth(rate_hz: float, jitter_s: float) -> None:
     # whatever the messages' rate: 10 ms samples, straight or not, are integrated exactly
-    of = _with(replace(PERFECT, rate_hz=rate_hz, jitter_s=jitter_s), duration_s=120.0)
+    of = _with(replace(PERFECT, rate_hz=rate_hz, jitter_s=jitter_s), duration_s=60.0)
     estimator = DeadReckoning(Config())
     estimator.start(Estimate(int(of.believed.stamps_ns[0]), of.course.poses[0], np.eye(3)))
     errors = []
@@ -59,7 +59,7 @@ def test_without_errors_dead_reckoning_is_the_truth(rate_hz: float, jitter_s: fl
         estimate = estimator.estimate()
         assert estimate is not None
         errors.append(se2.local(of.course.poses_at(np.array(stamp_ns)), estimate.pose))
-    assert len(errors) > 800
+    assert len(errors) > 400
     np.testing.assert_allclose(errors, 0.0, atol=1e-9)
 
 

@@ -66,6 +66,8 @@ def play(scenario: Scenario, field: FieldMap, seed: int) -> Game:
             f"field {field.name}: measures {sides_m[0]:g} x {sides_m[1]:g} m; a game needs {_SMALLEST_M:g} to "
             f"{_LARGEST_M:g} m"
         )
+    if s.start.pose and max(abs(s.start.pose[0]), abs(s.start.pose[1])) > _LARGEST_M:
+        raise FieldlocError(f"start.pose: needs to be within {_LARGEST_M:g} m of the field's centre")
     seeds = np.random.SeedSequence(seed).spawn(len(_PARTS))
     random = {part: np.random.default_rng(own) for part, own in zip(_PARTS, seeds, strict=True)}
 

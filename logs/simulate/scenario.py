@@ -26,7 +26,7 @@ from logs.simulate.vision_settings import VisionSettings
 
 SCENARIOS = ("kidsize-game", "spl-game", "quiet", "kidnapped", "falls", "no-compass", "ideal", "crowded")
 _COURSE_HZ = 100
-_LONGEST_S = 24 * 3600.0
+_LONGEST_S = 6 * 3600.0  # of which every sample is kept in memory
 
 if TYPE_CHECKING:  # type checkers have a name for all dataclasses, Python has none
     from _typeshed import DataclassInstance

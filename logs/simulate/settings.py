@@ -31,7 +31,19 @@ _LEAST: Mapping[str, float] = MappingProxyType(
     }
 )
 _MOST: Mapping[str, float] = MappingProxyType(
-    {"s": 3600.0, "min": 1000.0, "hz": 1000.0, "count": 100.0, "places": 100.0}
+    {
+        "m": 100.0,
+        "mps": 10.0,
+        "mps2": 100.0,
+        "rad": 1000.0,
+        "radps": 100.0,
+        "radps2": 1000.0,
+        "s": 3600.0,
+        "min": 1000.0,
+        "hz": 1000.0,
+        "count": 100.0,
+        "places": 100.0,
+    }
 )
 """By the last word of the name: what a computer can still make up. Everything else ends at a million."""
 
