@@ -109,7 +109,7 @@ def written(path, rng, count=200, size=40, channels=3, times=None, **options):
 def by_mcap(path, channels=None):
     """The messages as mcap's stream reader gives them, sorted by log time, those at equal times as they stand."""
     with path.open("rb") as file:
-        found = [r for r in StreamReader(file, validate_crcs=True, record_size_limit=None).records]
+        found = list(StreamReader(file, validate_crcs=True, record_size_limit=None).records)
     raw = [
         RawMessage(r.channel_id, r.log_time, r.publish_time, r.sequence, r.data)
         for r in found

@@ -22,11 +22,11 @@ from logs.reader.unpacked import Walk, walk
 
 def read_head(file: IO[bytes], start: int, end: int) -> ChunkHead:
     """Of a chunk between two places in the file, whatever its own opcode and length say. Damaged if it is none."""
-    if end - start < HEAD.size:
-        raise Damaged("too short for a record")
-    file.seek(start + HEAD.size)
-    record = HEAD.pack(Op.CHUNK, end - start - HEAD.size) + file.read(min(end - start, CHUNK_HEAD_BYTES) - HEAD.size)
-    return parse_chunk_head(record)
+    file.seek(start)
+    head = parse_chunk_head(file.read(max(0, min(end - start, CHUNK_HEAD_BYTES))))
+    if start + head.end > end:
+        raise Damaged("its packed bytes go beyond it")
+    return head
 
 
 def read_chunk(file: IO[bytes], start: int, end: int) -> tuple[bytes, Walk]:
@@ -47,7 +47,7 @@ def read_cut_chunk(file: IO[bytes], start: int, size: int) -> tuple[bytes, Walk]
     """The whole records at the beginning of a chunk that the end of the file cuts; unchecked."""
     head = cut_head(file, start, size, padded=True)
     if head is None or size - start > LIMIT_BYTES:
-        return b"", Walk([], [], 0, False)
+        return b"", walk(b"")
     file.seek(start + head.start)
     content = unpack_cut(head, file.read(head.packed_size))
     return content, walk(content)
@@ -66,8 +66,8 @@ def cut_head(file: IO[bytes], start: int, size: int, *, padded: bool = False) ->
     except Damaged:
         return None
     opcode, length = HEAD.unpack_from(record)
-    whole = padded or head.start + head.packed_size == HEAD.size + length
-    return head if opcode == Op.CHUNK and whole and start + head.start <= size else None
+    agrees = head.end <= HEAD.size + length if padded else head.end == HEAD.size + length
+    return head if opcode == Op.CHUNK and agrees and start + head.start <= size else None
 
 
 def lost_chunk(file: IO[bytes], start: int, end: int, size: int, why: str) -> Lost:

@@ -85,14 +85,13 @@ class Losses:
 
 
 def _plausible(span_ns: tuple[int, int] | None, read_ns: tuple[int, int] | None) -> tuple[int, int] | None:
-    """The part of what a damaged chunk claims that lies near what could be read; None: no part does."""
+    """What a damaged chunk claims, if it is near what could be read; else None."""
     if span_ns is None or span_ns[0] > span_ns[1]:
         return None
     if read_ns is None:
         return span_ns if span_ns[1] - span_ns[0] <= _HOUR_NS else None
     margin = max(read_ns[1] - read_ns[0], _HOUR_NS)
-    first, last = max(span_ns[0], read_ns[0] - margin), min(span_ns[1], read_ns[1] + margin)
-    return (first, last) if first <= last else None
+    return span_ns if read_ns[0] - margin <= span_ns[0] and span_ns[1] <= read_ns[1] + margin else None
 
 
 def _covered(spans: list[tuple[int, int]]) -> int:

@@ -34,17 +34,19 @@ def in_time_order(
     heapq.heapify(due)
     waiting: list[Unpacked] = []  # in the order of the file
     horizon: _Key | None = None  # what comes later is not worth keeping
+    again: set[int] = set()  # blocks of which the first messages were had
     while due:
         key = heapq.heappop(due)
         if horizon is not None and key >= horizon:
             horizon = None
-        for unpacked in open_block(by_start[key[1]], key[0]):
+        from_ns = key[0] if key[1] in again else first_ns  # a block may claim to begin later than it does
+        for unpacked in open_block(by_start[key[1]], from_ns):
             insort(waiting, unpacked, key=_ORDER)
         if horizon is not None:
-            _forget(waiting, horizon, due, key[1])
+            again |= _forget(waiting, horizon, due, key[1])
         if len(waiting) > 1 and sum(unpacked.bytes_held for unpacked in waiting) > budget_bytes:
             horizon = _turn_after(waiting, budget_bytes // 2)
-            _forget(waiting, horizon, due)
+            again |= _forget(waiting, horizon, due)
         yield from _ready(waiting, due[0] if due else None)
     yield from _ready(waiting, None)
 
@@ -59,8 +61,11 @@ def _turn_after(waiting: list[Unpacked], size: int) -> _Key:
     return int(times[last]), int(blocks[last]) + 1
 
 
-def _forget(waiting: list[Unpacked], horizon: _Key, due: list[_Key], only: int | None = None) -> None:
-    """Drop the messages from `horizon` on (of one block only, where one is given), and note when they are due."""
+def _forget(waiting: list[Unpacked], horizon: _Key, due: list[_Key], only: int | None = None) -> set[int]:
+    """Drop the messages from `horizon` on (of one block only, where one is given), and note when they are due.
+
+    Which blocks they are of.
+    """
     again: dict[int, int] = {}
     for i, unpacked in enumerate(waiting):
         if only is not None and unpacked.block != only:
@@ -74,6 +79,7 @@ def _forget(waiting: list[Unpacked], horizon: _Key, due: list[_Key], only: int |
     for block, first_ns in again.items():
         heapq.heappush(due, (first_ns, block))
     waiting[:] = [unpacked for unpacked in waiting if len(unpacked.times)]
+    return set(again)
 
 
 def _ready(waiting: list[Unpacked], next_due: _Key | None) -> Iterator[Iterable[RawMessage]]:

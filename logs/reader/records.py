@@ -120,6 +120,11 @@ class ChunkHead:
     start: int
     packed_size: int
 
+    @property
+    def end(self) -> int:
+        """Where its packed bytes end, counted likewise. What there is of its record beyond them is padding."""
+        return self.start + self.packed_size
+
 
 CHUNK_HEAD_BYTES = HEAD.size + 40 + 16  # and a compression's name of up to 16 bytes
 
@@ -141,21 +146,14 @@ def parse_metadata(content: bytes) -> tuple[str, Mapping[str, str]]:
 
 
 def parse_chunk_head(record: bytes) -> ChunkHead:
-    """From the first CHUNK_HEAD_BYTES of a chunk's record, its opcode and length included.
-
-    Damaged where the record's length and that of the packed bytes contradict each other. Whether the opcode is a
-    chunk's is not asked: in a damaged file it may not be.
-    """
-    fields = Fields(record, 1)
-    length = fields.number(8)
+    """From the first CHUNK_HEAD_BYTES of a chunk's record, its opcode and length included, which are not looked at."""
+    fields = Fields(record, HEAD.size)
     first, last, size, crc = fields.number(8), fields.number(8), fields.number(8), fields.number(4)
     name = fields.number(4)
     if name > 16:
         raise Damaged("a compression with a name of more than 16 bytes")
     compression = fields.take(name).decode(errors="replace")
     packed = fields.number(8)
-    if fields.at + packed > HEAD.size + length:
-        raise Damaged("a chunk's packed bytes go beyond it")
     return ChunkHead(first, last, size, crc, compression, fields.at, packed)
 
 

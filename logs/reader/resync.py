@@ -6,7 +6,7 @@ import numpy as np
 
 from logs.reader.chunks import cut_head, read_head
 from logs.reader.decompress import check_size
-from logs.reader.records import HEAD, LIMIT_BYTES, SHORTEST, Damaged, Op, is_header, message_index_count
+from logs.reader.records import HEAD, LIMIT_BYTES, PRIVATE, SHORTEST, Damaged, Op, is_header, message_index_count
 
 _FIRST_PIECE_BYTES = 1 << 12  # most damage is small
 _PIECE_BYTES = 1 << 20
@@ -37,6 +37,17 @@ def _candidates(piece: bytes, left: int) -> list[int]:
     lengths = np.ndarray((count,), "<u8", piece, 1, (1,))[places]
     fits = (lengths >= _SHORTEST[opcodes[places]]) & (lengths <= np.uint64(max(left, 0)))
     return [int(place) for place in places[fits]]
+
+
+def goes_on(file: IO[bytes], start: int, size: int) -> bool:
+    """Whether what stands here may follow a record: records, or one that is cut, or the file's end."""
+    file.seek(start)
+    head = file.read(HEAD.size)
+    if len(head) < HEAD.size:
+        return True
+    opcode, length = HEAD.unpack(head)
+    cut = is_header(opcode, length) and opcode < PRIVATE and size < start + HEAD.size + length <= start + LIMIT_BYTES
+    return cut or convinces(file, start, size)
 
 
 def convinces(file: IO[bytes], start: int, size: int) -> bool:

@@ -8,22 +8,24 @@ from logs.reader.blocks import Block, Blocks, Contents, Definitions
 from logs.reader.chunks import cut_head, lost_chunk, read_chunk, read_cut_chunk, read_head
 from logs.reader.damage import Cut, Losses
 from logs.reader.records import (
+    CHUNK_HEAD_BYTES,
     HEAD,
     LIMIT_BYTES,
     MAGIC,
+    PRIVATE,
     Damaged,
     Fields,
     Op,
     Span,
-    is_header,
     message_index_count,
     parse_channel,
+    parse_chunk_head,
     parse_metadata,
     parse_schema,
 )
-from logs.reader.resync import convinces, resync
+from logs.reader.resync import convinces, goes_on, resync
 from logs.reader.summary import Summary
-from logs.reader.unpacked import Walk, headers, walk
+from logs.reader.unpacked import Stop, Walk, headers, walk
 
 _PIECE_BYTES = 1 << 18
 _OF_DATA = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.MESSAGE_INDEX, Op.METADATA})
@@ -70,35 +72,42 @@ class Scan:
         """Take what stands here; where the next stands, None where there is nothing more."""
         if not self._piece_at <= at <= self._piece_at + len(self._piece) - HEAD.size:
             self._fill(at)
-        found = walk(self._piece, at - self._piece_at, loose=True)
-        if found.end == at - self._piece_at and self._piece_at < at:
+        found = self._walk(at)
+        if found.last < 0 and self._piece_at < at:
             self._fill(at)
-            found = walk(self._piece, loose=True)
-        end = self._piece_at + found.end
-        if end > at:
-            return self._broken_after(found) if found.broken else self._take_run(found)
-        opcode, length = HEAD.unpack_from(self._piece) if len(self._piece) >= HEAD.size else (0, 0)
-        end = at + HEAD.size + length
-        return self._alone(opcode, at, end) if is_header(opcode, length) and end <= self._size else self._broken(at)
+            found = self._walk(at)
+        if found.stop is Stop.BUFFER and self._piece_at + len(self._piece) < self._size:
+            if found.last <= at - self._piece_at:  # one record, or less
+                return self._alone(at)
+            found = found.until(found.last)  # it is not known yet whether a record follows the last one
+        if found.last < 0:
+            return self._alone(at) if found.stop is Stop.ALONE else self._broken(at)
+        return self._broken_after(found) if found.stop is Stop.BROKEN else self._take_run(found)
+
+    def _walk(self, at: int) -> Walk:
+        return walk(self._piece, at - self._piece_at, self._size - self._piece_at)
 
     def _fill(self, at: int) -> None:
         self._file.seek(at)
         self._piece, self._piece_at = self._file.read(_PIECE_BYTES), at
 
-    def _alone(self, opcode: int, at: int, end: int) -> int | None:
+    def _alone(self, at: int) -> int | None:
         """A record that is not taken together with its neighbours."""
+        opcode: int
+        opcode, length = HEAD.unpack_from(self._piece, at - self._piece_at)
+        end: int = at + HEAD.size + length
         if opcode == Op.CHUNK:
             self._previous = Span(opcode, at, end)
             return self._chunk(at, end)
-        if opcode == Op.ATTACHMENT:
-            self._attachments.append(Span(opcode, at, end))
-        elif opcode == Op.DATA_END:
-            self._data_ended = True
-        elif opcode == Op.FOOTER:
+        if opcode == Op.FOOTER:
             return self._footer(at, end)
-        else:
+        if opcode not in (Op.ATTACHMENT, Op.DATA_END):
             return self._big(at, end)
         self._previous = Span(opcode, at, end)
+        if opcode == Op.ATTACHMENT:
+            self._attachments.append(self._previous)
+        else:
+            self._data_ended = True
         return end
 
     def _footer(self, at: int, end: int) -> int | None:
@@ -113,7 +122,7 @@ class Scan:
 
     def _big(self, at: int, end: int) -> int | None:
         """A record that is longer than a piece; unless its length is wrong."""
-        if not self._goes_on(end):
+        if not goes_on(self._file, end, self._size):
             following = resync(self._file, at + 1, self._size)
             if following is not None and following < end:
                 self._lose(at, following)
@@ -123,17 +132,8 @@ class Scan:
             return end
         self._file.seek(at)
         record = self._file.read(end - at)
-        self._take(record, walk(record, loose=True), at)
+        self._take(record, walk(record), at)
         return end
-
-    def _goes_on(self, at: int) -> bool:
-        """Whether a record may begin here, or the file ends."""
-        self._file.seek(at)
-        head = self._file.read(HEAD.size)
-        if len(head) < HEAD.size:
-            return True
-        opcode, length = HEAD.unpack(head)
-        return is_header(opcode, length) and length <= max(LIMIT_BYTES, self._size)
 
     def _chunk(self, at: int, end: int) -> int | None:
         end = self._end_of_chunk(at, end)
@@ -141,7 +141,7 @@ class Scan:
             content, found = read_chunk(self._file, at, end)
         except Damaged as error:
             following: int | None = end
-            if not self._goes_on(end):
+            if not goes_on(self._file, end, self._size):
                 following = resync(self._file, at + HEAD.size, self._size)
             lost_to = end if following is None else following
             self._losses.chunks[at] = lost_chunk(self._file, at, lost_to, self._size, str(error))
@@ -151,12 +151,12 @@ class Scan:
 
     def _end_of_chunk(self, at: int, end: int) -> int:
         """Where its packed bytes end, if records go on there: its length is wrong then, or else it is padded."""
+        self._file.seek(at)
         try:
-            head = read_head(self._file, at, end)
+            head = parse_chunk_head(self._file.read(CHUNK_HEAD_BYTES))
         except Damaged:
             return end
-        packed_end = at + head.start + head.packed_size
-        return packed_end if packed_end < end and convinces(self._file, packed_end, self._size) else end
+        return at + head.end if at + head.end != end and convinces(self._file, at + head.end, self._size) else end
 
     def _broken(self, at: int) -> int | None:
         """What begins here is damaged, or cut off by the end of the file."""
@@ -178,17 +178,15 @@ class Scan:
 
     def _broken_after(self, found: Walk) -> int | None:
         """No record follows a run: the length of its last record may be wrong, or what follows is damaged."""
-        last = max([*found.messages[-1:], *(span.start for span in found.others[-1:])])
-        following = resync(self._file, self._piece_at + last + 1, self._size)
-        if following is not None and following < self._piece_at + found.end:
-            others = [span for span in found.others if span.start < last]
-            found = Walk([place for place in found.messages if place < last], others, last, True)
-        broken = self._take_run(found)
-        if following is not None:
-            self._lose(broken, following)
-        elif self._losses.cut is None:
-            self._losses.cut = Cut(self._data_ended)
-        return following
+        end = self._piece_at + found.end
+        if cut_head(self._file, end, self._size) is None:
+            following = resync(self._file, self._piece_at + found.last + 1, self._size)
+            if following is not None and following < end:
+                end = self._take_run(found.until(found.last))
+                self._lose(end, following)
+                return following
+        self._take_run(found)
+        return self._broken(end)
 
     def _lose(self, start: int, end: int) -> None:
         """Count what stands between two places as a damaged record, or as a chunk where its end says so."""
@@ -212,6 +210,7 @@ class Scan:
             try:
                 self._take_other(span.opcode, buffer[span.start : span.end], at + span.start, chunk is None)
             except Damaged:
+                self._previous = Span(0, at + span.start, at + span.end)
                 if self._data_ended:
                     self._losses.index = True
                 else:
@@ -235,24 +234,28 @@ class Scan:
         previous = self._previous
         if loose:
             self._previous = Span(opcode, at, at + len(record))
+        known = self._definitions if not self._data_ended else Definitions()  # what the summary repeats may be damaged
         if opcode == Op.SCHEMA:
-            self._definitions.add_schema(parse_schema(record[HEAD.size :]))
+            known.add_schema(parse_schema(record[HEAD.size :]))
         elif opcode == Op.CHANNEL:
-            self._definitions.add_channel(parse_channel(record[HEAD.size :]))
+            known.add_channel(parse_channel(record[HEAD.size :]))
         elif not loose:
             return
         elif opcode == Op.METADATA:
             name, pairs = parse_metadata(record[HEAD.size :])
             self._metadata[name] = dict(pairs)
         elif opcode == Op.MESSAGE_INDEX:
-            message_index_count(record[: HEAD.size + 6])
-            if previous.opcode not in (Op.CHUNK, Op.MESSAGE_INDEX) and previous.end == at:
+            count = message_index_count(record[: HEAD.size + 6])
+            if previous.end != at or (previous.opcode not in (Op.CHUNK, Op.MESSAGE_INDEX) and not count):
+                raise Damaged("a message index that does not follow a chunk")
+            if previous.opcode not in (Op.CHUNK, Op.MESSAGE_INDEX):
                 self._chunk_in_disguise(previous)
-        elif opcode < 128 and not self._data_ended and opcode not in _OF_DATA and at != len(MAGIC):
+        elif opcode < PRIVATE and not self._data_ended and opcode not in _OF_DATA and at != len(MAGIC):
             raise Damaged("a record of the summary among the data")
 
     def _chunk_in_disguise(self, span: Span) -> None:
         """A message index follows something that is no chunk: then its opcode is what is damaged, if not more."""
+        read_head(self._file, span.start, span.end)
         self._losses.records.discard(span.start)
         self._attachments = [attachment for attachment in self._attachments if attachment.start != span.start]
         self._chunk(span.start, span.end)

@@ -6,6 +6,7 @@ One message costs well below a microsecond so: only the chain of lengths is foll
 import functools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from enum import Enum, auto
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,41 +32,64 @@ _ALONE = frozenset({Op.CHUNK, Op.ATTACHMENT, Op.DATA_END, Op.FOOTER})
 _new: Callable[[Iterable[object]], RawMessage] = functools.partial(tuple.__new__, RawMessage)
 
 
+class Stop(Enum):
+    """Why a chain of records ends: with the buffer; before a record that is taken alone; before what is no record."""
+
+    BUFFER = auto()
+    ALONE = auto()
+    BROKEN = auto()
+
+
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """A chain of whole records. messages: where each begins; others: the rest; end: where the chain does.
-
-    broken: what stands there is no record at all, rather than one that is not whole or that is read alone.
-    """
+    """A chain of whole records. messages: where each begins; others: the rest; end: where the chain does."""
 
     messages: list[int]
     others: list[Span]
     end: int
-    broken: bool
+    stop: Stop
+
+    @property
+    def last(self) -> int:
+        """Where the last record begins; -1 where there is none."""
+        return max([-1, *self.messages[-1:], *(span.start for span in self.others[-1:])])
+
+    def until(self, place: int) -> "Walk":
+        """The records before the one that begins there."""
+        messages = [start for start in self.messages[-1:] if start < place]
+        others = [span for span in self.others if span.start < place]
+        return Walk(self.messages[:-1] + messages, others, place, self.stop)
 
 
-def walk(buffer: bytes, start: int = 0, *, loose: bool = False) -> Walk:
-    """Follow the records from `start`. loose: outside a chunk, where chunks, attachments and the end stand too."""
+def walk(buffer: bytes, start: int = 0, loose_left: int | None = None) -> Walk:
+    """Follow the records from `start`.
+
+    loose_left: outside a chunk, where records stand that are taken alone: how many bytes of the file there are from
+    the buffer's begin on. A record that goes beyond them is none.
+    """
     messages: list[int] = []
     others: list[Span] = []
     end, unpack, head_size = len(buffer), HEAD.unpack_from, HEAD.size
     shortest_message, message = SHORTEST[Op.MESSAGE], int(Op.MESSAGE)
     last_head = end - head_size
-    broken = False
+    stop = Stop.BUFFER
     while start <= last_head:
         opcode, length = unpack(buffer, start)
         following = start + head_size + length
-        if opcode == message and length >= shortest_message:
-            if following > end:
-                break
+        if opcode == message and length >= shortest_message and following <= end:
             messages.append(start)
+        elif not is_header(opcode, length) or (loose_left is not None and following > loose_left):
+            stop = Stop.BROKEN
+            break
+        elif loose_left is not None and opcode in _ALONE:
+            stop = Stop.ALONE
+            break
+        elif following > end:
+            break
         else:
-            broken = not is_header(opcode, length)
-            if broken or following > end or (loose and opcode in _ALONE):
-                break
             others.append(Span(opcode, start, following))
         start = following
-    return Walk(messages, others, start, broken)
+    return Walk(messages, others, start, stop)
 
 
 def headers(buffer: bytes, places: Places) -> NDArray[np.void]:
