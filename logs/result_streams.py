@@ -52,6 +52,10 @@ def kept_channels(merge: Container) -> list[int]:
 def _is_result(source: Source) -> bool:
     if source.topic == TOPICS["field"]:
         return source.schema_name in BY_NAME
+    if source.topic == "/tf" and source.message_encoding == "cdr":
+        from logs.ros.results import sources
+
+        return source in sources()  # a robot's own recorder says more of its channel than we do
     return source.topic == TOPICS["estimate"] or source.topic.startswith(PREFIX)
 
 

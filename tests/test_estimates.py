@@ -289,6 +289,15 @@ def test_ros_2_messages_stand_beside_the_others(tmp_path):
     assert {link[1] for pair in links(tmp_path / "out.mcap") for link in pair} == {"fieldloc/odom", "fieldloc/robot"}
 
 
+def test_earlier_ros_2_results_give_way_and_a_robots_own_transforms_stay(tmp_path):
+    tf = Source("/tf", "cdr", "tf2_msgs/msg/TFMessage", "ros2msg", b"", {"offered_qos_profiles": "- depth: 1"})
+    write(tmp_path / "first.mcap", ros2=True, merge=Input({1: tf}, [RawMessage(1, ns(0.0), ns(0.0), 0, b"own")]))
+    write(tmp_path / "second.mcap", ros2=True, merge=open_container(tmp_path / "first.mcap"))
+    assert counts(tmp_path / "second.mcap") == counts(tmp_path / "first.mcap")
+    assert [m.data for m in on(tmp_path / "second.mcap", "/tf")].count(b"own") == 1
+    assert len(on(tmp_path / "second.mcap", "/tf")) == 1 + len(estimates())
+
+
 def test_stamps_beyond_ros_2_are_an_error_that_says_so(tmp_path):
     late_ns = 2**31 * SECOND
     with pytest.raises(FieldlocError, match="2147483648 s"):
