@@ -66,7 +66,7 @@ class Player:
         random = self._random
         seen = se2.apply(se2.inverse(self._pose), ball)
         bearing = float(np.arctan2(seen[1], seen[0]))
-        turns_first, strafes = random.random() < 0.3, random.random() < 0.2
+        turns_first, strafes = random.random() < 0.3, random.random() < 0.4
         if abs(bearing) > _FACES_RAD or turns_first:
             yield self._leg(np.array([0.0, 0.0, bearing]))
             seen = se2.apply(se2.inverse(self._pose), ball)
@@ -75,7 +75,7 @@ class Player:
         if distance < 0.02:
             return
         end = distance * np.array([np.cos(bearing), np.sin(bearing)])
-        if strafes and distance < 1.0:  # aside without turning
+        if strafes and distance < 1.5:  # aside without turning
             yield self._leg(np.array([end[0], end[1], 0.0]))
         else:  # the arc that starts along the heading and ends there turned by twice the bearing
             weave_radps = random.uniform(0.0, 0.25) if distance > 0.5 else 0.0
