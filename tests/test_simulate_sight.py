@@ -19,6 +19,7 @@ from fieldloc.measurements import ImageFeatures
 from fieldloc.pose import FloatArray
 from fieldloc.view import visible_parts
 from logs.schema import BY_KIND, decode, encode
+from logs.simulate.clipping import on_image
 from logs.simulate.sight import SimulatedCamera, simulate_images
 from logs.simulate.vision_settings import HeadSettings, VisionSettings
 
@@ -70,6 +71,15 @@ def test_a_lens_bends_the_visible_parts(camera: Camera) -> None:
         seen = [line.ends_px for line in image.lines]
         assert len(seen) == len(expected)
         np.testing.assert_allclose(_sorted(seen), _sorted(expected), atol=1e-6)
+
+
+def test_a_line_that_leaves_and_comes_back_through_the_lens_is_one() -> None:
+    start, end = np.array([[-0.7, 0.512, 1.0]]), np.array([[0.7, 0.512, 1.0]])
+    assert BARREL.project(start)[1].all()
+    assert BARREL.project(end)[1].all()
+    assert not BARREL.project(0.5 * (start + end))[1].any()  # bulges over the lower border
+    low, high = on_image(BARREL, start, end)
+    np.testing.assert_allclose([low, high], [[0.0], [1.0]], atol=1e-9)
 
 
 @pytest.mark.parametrize("pose", POSES)

@@ -76,19 +76,21 @@ def test_nothing_smaller_than_told_is_found() -> None:
         assert bool(see(standing([-range_m, 0.0, 0.0], 1.0), short, settings)[0].lines) is seen
 
 
-def test_a_turning_head_finds_less_and_less_sharply() -> None:
+@pytest.mark.parametrize("turn_radps", [1.0, 2.0])
+def test_a_turning_head_finds_less_and_less_sharply(turn_radps: float) -> None:
     exposure = replace(EXACT.noise, exposure_s=0.01, blur_share=0.5)
     posts = replace(EXACT.posts, blur_half_px=5.0)
     settings = replace(EXACT, noise=exposure, posts=posts)
-    course = standing([-2.0, 0.0, -0.4], 0.8, turn_radps=1.0)  # 500 px * 0.01 s * 1 rad/s: the half
+    course = standing([-2.0, 0.0, -0.4], 0.8 / turn_radps, turn_radps=turn_radps)
+    blur_px = 500.0 * 0.01 * turn_radps
     found = images = 0
     for seed in range(150):
         for image in see(course, POST_ONLY, settings, seed):
             images += 1
             found += len(image.posts)
             for post in image.posts:
-                np.testing.assert_allclose(post.covariance_px2, 2.5**2 * np.eye(4), rtol=1e-6)
-    assert _within_four_sigmas(found, images, 0.5)
+                np.testing.assert_allclose(post.covariance_px2, (0.5 * blur_px) ** 2 * np.eye(4), rtol=1e-6)
+    assert _within_four_sigmas(found, images, 1.0 / (1.0 + (blur_px / 5.0) ** 2))
 
 
 def test_pixel_noise_is_as_wide_as_told_and_as_claimed() -> None:

@@ -78,10 +78,11 @@ def test_outages_silence_the_camera_for_a_while() -> None:
 def test_nothing_is_seen_while_the_robot_is_carried() -> None:
     course = standing([0, 0, 0], 20.0)
     seeing = (np.arange(2001) < 500) | (np.arange(2001) > 1200)
-    shots = _shots(replace(course, seeing=seeing), replace(STILL, timing=PLAIN))
+    shots = _shots(replace(course, seeing=seeing), replace(STILL, timing=replace(PLAIN, images_hz=230.0)))
     since_s = (shots.taken_ns - course.stamps_ns[0]) * 1e-9
-    assert not ((since_s > 4.99) & (since_s < 12.01)).any()
-    assert len(shots) == pytest.approx(13.0 * 15.0, abs=2)
+    # not between a sample that sees and one that does not either
+    assert not ((since_s >= 4.99) & (since_s < 12.01)).any()
+    assert len(shots) == pytest.approx((20.0 - 7.02) * 230.0, abs=4)
 
 
 def test_the_mount_is_off_by_the_same_all_game_long_and_by_another_in_the_next() -> None:
