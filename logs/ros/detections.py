@@ -128,16 +128,13 @@ def _array(numbers: "Sequence[object] | map[float]", shape: tuple[int, ...] = ()
 
 
 def _numbers(plan: Plan, path: str, names: Sequence[str]) -> Callable[[Values], Sequence[float]]:
-    readers = [plan.number(f"{path}.{name}") for name in names]
-    return lambda values: [read(values) for read in readers]
+    return plan.numbers([f"{path}.{name}" for name in names])
 
 
 def _box(plan: Plan, path: str) -> Callable[[Values], Sequence[float]]:
     """Centre u, v, width, height."""
     centre = f"{path}.center.position" if plan.has(f"{path}.center.position") else f"{path}.center"
-    u, v = plan.number(f"{centre}.x"), plan.number(f"{centre}.y")
-    width, height = plan.number(f"{path}.size_x"), plan.number(f"{path}.size_y")
-    return lambda values: (u(values), v(values), width(values), height(values))
+    return plan.numbers([f"{centre}.x", f"{centre}.y", f"{path}.size_x", f"{path}.size_y"])
 
 
 def _confidence(plan: Plan, path: str) -> Callable[[Values], float]:

@@ -1,6 +1,7 @@
 """Poses, velocities and frames out of the values of ROS messages."""
 
 from collections.abc import Callable
+from math import isnan
 from operator import itemgetter
 
 from fieldloc.pose import FloatArray
@@ -23,8 +24,7 @@ def known(covariance: FloatArray) -> FloatArray | None:
     numbers = (
         covariance.tolist()
     )  # sums and all on Python's numbers: numpy's overhead is more, and it warns of infinity
-    total = sum(numbers)
-    return covariance.reshape(6, 6) if any(numbers) and total == total else None
+    return covariance.reshape(6, 6) if any(numbers) and not isnan(sum(numbers)) else None
 
 
 def odometry(plan: Plan) -> Callable[[list[object]], OdometryPart]:

@@ -81,6 +81,15 @@ class Plan:
             return lambda values: float(get(values)[slot.start])
         raise BadDefinition(f"it has no number {path}")
 
+    def numbers(self, paths: Sequence[str]) -> Callable[[list[object]], Sequence[float]]:
+        """Reads some numbers, two at least, off a list of values."""
+        readers = [self.number(path) for path in paths]
+        slots = [self.slots[path] for path in paths]
+        if any((slot.kind, slot.place) != ("block", slots[0].place) for slot in slots):
+            return lambda values: [read(values) for read in readers]
+        get, pick = itemgetter(slots[0].place), itemgetter(*[slot.start for slot in slots])
+        return lambda values: pick(get(values).tolist())
+
 
 def plan(definitions: Definitions, name: str, wanted: Sequence[str], wire: Wire) -> Plan:
     """wanted: paths ("pose.pose"; "posts.bb.center" inside of sequences too); what a type does not have is let be.

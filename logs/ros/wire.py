@@ -18,6 +18,9 @@ import numpy as np
 from logs.foreign.parts import BadPart
 from logs.ros.definitions import SEQUENCE, BadDefinition
 
+_MOST_NAMES = 1000  # that are kept, so that a log full of others fills no memory
+_LONGEST_NAME = 200
+
 Step = Callable[[bytes, int, list[object]], int]
 
 CODES = {
@@ -123,6 +126,7 @@ def text(wire: Wire, wanted: bool) -> Step:
     """A string. CDR counts its closing zero; some writers pad with more, some count nothing for an empty one."""
     unpack = struct.Struct(wire.order + "I").unpack_from
     closed = wire.aligned
+    known: dict[bytes, str] = {}  # the same few names come again and again
     back = 3 if wire.aligned else 0
     mask = ~back
 
@@ -134,7 +138,13 @@ def text(wire: Wire, wanted: bool) -> Step:
         if end > len(data) or (closed and length and data[end - 1]):
             raise _misfit()
         if wanted:
-            out.append(data[position:end].rstrip(b"\0").decode())
+            raw = data[position:end]
+            name = known.get(raw)
+            if name is None:
+                name = raw.rstrip(b"\0").decode()
+                if len(known) < _MOST_NAMES and length < _LONGEST_NAME:
+                    known[raw] = name
+            out.append(name)
         return end
 
     return step
