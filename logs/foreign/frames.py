@@ -66,6 +66,10 @@ class Frames:
         if self._samples > self._limit and self._wanted is not None:
             self._drop_unwanted(self._wanted)
 
+    def __len__(self) -> int:
+        """Samples held."""
+        return self._samples
+
     @property
     def names(self) -> tuple[str, ...]:
         """All frames, in the order in which the log names them."""
@@ -184,7 +188,7 @@ class _Track:
         count = len(self._stamps)
         if static:
             self._static = True
-            self._stamps, self._values = array("q"), array("d")
+            del self._stamps[:], self._values[:]
         same = bool(self._stamps) and self._value(-1) == value
         if stamp_ns == 0 and self._stamps and not same:
             stamp_ns = log_time_ns

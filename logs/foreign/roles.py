@@ -170,6 +170,10 @@ def _is_likely(role: str, channel: _Channel, mapping: LogMapping) -> bool:
             return initial
         case "estimate":
             return bool(_ESTIMATE.search(name)) and not (truth or initial or _NOT_ROBOT.search(name))
+        case "image_features":
+            return channel.part is ImageDetectionsPart or "lines" in _things(channel)
+        case "landmarks":
+            return "posts" in _things(channel)
         case "compass":
             return channel.part is MagneticPart and mapping.compass.north_rad is not None
         case "magnetometer":
