@@ -141,7 +141,8 @@ def _summary(run: ScoredRun) -> str:
         return ""
     parts = [f"ATE {run.metrics.ate_m.rmse:.3f} m", f"{np.degrees(run.metrics.heading_rad.rmse):.1f}°"]
     if run.metrics.consistency is not None:
-        parts.append(f"ANEES {run.metrics.consistency.anees:.3g}")
+        anees = run.metrics.consistency.anees
+        parts.append(f"ANEES {anees:.0f}" if 100 <= anees < 1e6 else f"ANEES {anees:.3g}")
     return " · ".join(parts)
 
 

@@ -119,22 +119,37 @@ function play(on) {
 
 // -- the field --------------------------------------------------------------------------------------------------------
 
+function extend(box, x, y, r) {
+  box[0] = Math.min(box[0], x - r); box[1] = Math.min(box[1], y - r);
+  box[2] = Math.max(box[2], x + r); box[3] = Math.max(box[3], y + r);
+}
+
+/** What the map covers. */
+function pitch() {
+  const box = [Infinity, Infinity, -Infinity, -Infinity];
+  if (!data.field) return box;
+  for (const [x0, y0, x1, y1] of data.field.lines) { extend(box, x0, y0, 0); extend(box, x1, y1, 0); }
+  for (const [x, y, r] of data.field.circles) extend(box, x, y, r);
+  for (const [x, y] of data.field.landmarks) extend(box, x, y, 0);
+  return box;
+}
+
+const PITCH = pitch();
+
 /** What is worth seeing: field and truth, and of the estimates what does not lie far outside. */
 function bounds() {
-  const box = [Infinity, Infinity, -Infinity, -Infinity];
-  const add = (x, y, r = 0) => {
-    box[0] = Math.min(box[0], x - r); box[1] = Math.min(box[1], y - r);
-    box[2] = Math.max(box[2], x + r); box[3] = Math.max(box[3], y + r);
-  };
-  if (data.field) {
-    for (const [x0, y0, x1, y1] of data.field.lines) { add(x0, y0); add(x1, y1); }
-    for (const [x, y, r] of data.field.circles) add(x, y, r);
-    for (const [x, y] of data.field.landmarks) add(x, y);
-  }
+  const box = [...PITCH];
+  const add = (x, y) => extend(box, x, y, 0);
   const walk = (path) => { for (let i = 0; i < path.t.length; i++) add(path.pose[3 * i], path.pose[3 * i + 1]); };
   if (truth) walk(truth);
-  if (box[0] === Infinity) runs.forEach((run) => walk(run.path));
+  const core = [...box];
+  runs.forEach((run) => walk(run.path));
   if (box[0] === Infinity) return [-1, -1, 1, 1];
+  if (core[0] !== Infinity) {
+    const astray = 0.25 * Math.max(core[2] - core[0], core[3] - core[1]);
+    for (const k of [0, 1]) box[k] = Math.max(box[k], core[k] - astray);
+    for (const k of [2, 3]) box[k] = Math.min(box[k], core[k] + astray);
+  }
   const margin = 0.05 * Math.max(box[2] - box[0], box[3] - box[1], 1);
   return [box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin];
 }
@@ -195,10 +210,7 @@ function drawField() {
   const showTruth = byId("show-truth").checked && truth;
   const faint = Math.min(Math.max(60 / data.duration_s, 0.22), 0.5);
   const { pen } = prepared(field, layers.field, [scale, left, top, Boolean(showTruth)], (pen, width, height) => {
-    const [x0, y0, x1, y1] = BOUNDS;
     pen.lineCap = pen.lineJoin = "round";
-    pen.fillStyle = style.pitch;
-    pen.fillRect(X(x0), Y(y1), scale * (x1 - x0), scale * (y1 - y0));
     if (data.field) drawMap(pen, X, Y, scale);
     drawScale(pen, width, height, scale);
     if (showTruth) drawPath(pen, truth, X, Y, style.truth, 2.2, faint + 0.05);
@@ -221,6 +233,10 @@ function drawField() {
 }
 
 function drawMap(pen, X, Y, scale) {
+  const [x0, y0, x1, y1] = PITCH;
+  const border = 0.06 * Math.max(x1 - x0, y1 - y0, 1);
+  pen.fillStyle = style.pitch;
+  pen.fillRect(X(x0 - border), Y(y1 + border), scale * (x1 - x0 + 2 * border), scale * (y1 - y0 + 2 * border));
   const line = Math.max(1.6, scale * data.field.line_width_m);
   for (const [colour, wide] of [[style["mark-edge"], line + 1.4], [style.mark, line]]) {
     pen.strokeStyle = colour;
