@@ -2,9 +2,9 @@
 
 import sys
 
-from benchmarks import reading
+from benchmarks import reading, writing
 
-BENCHMARKS = {"reading": reading}
+BENCHMARKS = {"reading": reading, "writing": writing}
 
 
 def main(arguments: list[str]) -> int:
