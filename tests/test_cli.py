@@ -8,12 +8,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import mcap.writer
 import numpy as np
 import pytest
+from program import Call, Said
 from real_logs import nearer_than, relabelled, sample_messages, without, write
 
 from estimators.base import Estimate
@@ -28,48 +29,26 @@ from logs.schema import BY_KIND, Record, encode
 from logs.writer import LogWriter
 
 ROOT = Path(__file__).resolve().parent.parent
+
+pytestmark = pytest.mark.usefixtures("here")
 ONLINE = ("dead-reckoning", "ekf", "particles")
-COMMANDS = ("import", "info", "run", "smooth", "compare", "evaluate", "export")
+COMMANDS = (
+    "import",
+    "simulate",
+    "info",
+    "run",
+    "smooth",
+    "compare",
+    "evaluate",
+    "export",
+    "report",
+    "view",
+    "cut",
+    "merge",
+    "repair",
+)
 UNTIL_S = 8.0
 COUNT = 81  # scans and odometry messages by then
-
-
-@dataclass(frozen=True)
-class Said:
-    code: int
-    out: str
-    err: str
-
-    @property
-    def lines(self) -> list[str]:
-        return self.err.splitlines()
-
-
-Call = Callable[..., Said]
-
-
-@pytest.fixture
-def call(capsys: pytest.CaptureFixture[str]) -> Call:
-    """The program in this process; whatever it says."""
-
-    def call(*arguments: object) -> Said:
-        capsys.readouterr()
-        try:
-            code = main([str(argument) for argument in arguments])
-        except SystemExit as leaving:
-            code = int(leaving.code or 0)
-        return Said(code, *capsys.readouterr())
-
-    return call
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder in which the program runs."""
-    folder = tmp_path / "here"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +101,7 @@ def raw(
             topic = message.topic
             if topic not in channels:
                 strange = topic == foreign
-                name = "nav_msgs/msg/Odometry" if strange else BY_KIND[type(message.record)].name
+                name = "std_msgs/msg/String" if strange else BY_KIND[type(message.record)].name
                 schema = log.register_schema(name, "ros2msg" if strange else "jsonschema", b"")
                 channels[topic] = log.register_channel(topic, "cdr" if strange else "json", schema)
             i = counts[topic] = counts.get(topic, -1) + 1
@@ -292,12 +271,12 @@ def test_what_is_no_log_is_one_line_and_leaves_nothing(
 @pytest.mark.parametrize(
     ("pattern", "log", "problem"),
     [
-        *((READERS[r], "foreign_odometry.mcap", "/odometry carries nav_msgs") for r in ("run", "smooth", "compare")),
-        *((READERS[r], "foreign_landmarks.mcap", "/landmarks carries nav_msgs") for r in ("run", "smooth", "compare")),
-        (READERS["compare"], "foreign_truth.mcap", "/truth carries nav_msgs"),
-        (READERS["evaluate against"], "foreign_truth.mcap", "/truth carries nav_msgs"),
-        (READERS["evaluate"], "foreign_estimate.mcap", "/estimate carries nav_msgs"),
-        (READERS["export"], "foreign_estimate.mcap", "/estimate carries nav_msgs"),
+        *((READERS[r], "foreign_odometry.mcap", "/odometry carries std_msgs") for r in ("run", "smooth", "compare")),
+        *((READERS[r], "foreign_landmarks.mcap", "/landmarks carries std_msgs") for r in ("run", "smooth", "compare")),
+        (READERS["compare"], "foreign_truth.mcap", "/truth carries std_msgs"),
+        (READERS["evaluate against"], "foreign_truth.mcap", "/truth carries std_msgs"),
+        (READERS["evaluate"], "foreign_estimate.mcap", "/estimate carries std_msgs"),
+        (READERS["export"], "foreign_estimate.mcap", "/estimate carries std_msgs"),
         *((READERS[r], "nomap.mcap", "holds no map; name one with --field") for r in ("run", "smooth", "compare")),
         *((READERS[r], "blind.mcap", "no usable message on /landmarks,") for r in ("run", "smooth", "compare")),
         (READERS["evaluate"], "good.mcap", "no usable message on /estimate; give what fieldloc run or smooth wrote"),
@@ -319,9 +298,9 @@ def test_a_log_that_lacks_what_is_needed_is_one_line_that_names_the_topic(
 def test_info_shows_a_foreign_topic_and_says_what_it_cannot_be(call: Call, made: Path) -> None:
     said = call("info", made / "foreign_odometry.mcap")
     assert said.code == 0
-    assert "nav_msgs/msg/Odometry" in said.out
+    assert "std_msgs/msg/String" in said.out
     assert said.lines == [
-        f"fieldloc: warning: {made / 'foreign_odometry.mcap'}: topic /odometry carries nav_msgs/msg/Odometry (cdr), "
+        f"fieldloc: warning: {made / 'foreign_odometry.mcap'}: topic /odometry carries std_msgs/msg/String (cdr), "
         "needs fieldloc.Odometry.v1 (json)"
     ]
 

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from fieldloc.cli.commands import Commands, names
-from fieldloc.cli.reading import add_part_options
+from fieldloc.cli.reading import add_part_options, part
 from fieldloc.cli.terminal import bar, say, warn
 from fieldloc.errors import FieldlocError
 from logs.edit import Summary
@@ -40,14 +40,13 @@ def add_commands(commands: Commands) -> None:
 def _cut(options: argparse.Namespace) -> None:
     from logs.edit import cut
 
-    if options.from_s is None and options.to_s is None and not options.topics and not options.without:
+    limits_s = part(options)
+    if limits_s == (None, None) and not options.topics and not options.without:
         raise FieldlocError("cut: nothing to cut; say which part with --from, --to, --topics or --without")
     out = output_file(options.output or options.log.with_name(f"{options.log.stem}-cut.mcap"), options.log)
     container = open_container(options.log)
     first_ns = container.span_ns[0] if container.span_ns else 0
-    start_ns, end_ns = (
-        None if after_s is None else first_ns + round(after_s * 1e9) for after_s in (options.from_s, options.to_s)
-    )
+    start_ns, end_ns = (None if after_s is None else first_ns + round(after_s * 1e9) for after_s in limits_s)
     with bar(options, "cutting") as progress:
         done = cut(container, out, start_ns, end_ns, options.topics, options.without, progress)
     _tell(options, done)

@@ -34,8 +34,13 @@ def open_log(options: argparse.Namespace, paths: Sequence[Path]) -> LogFile:
     """One log, or several read as one, as the options of `add_meaning_options` and `add_part_options` say."""
     from logs.foreign.mapping import LogMapping, load_mapping, with_roles
 
+    mapping = load_mapping(options.mapping) if options.mapping else LogMapping()
+    return LogFile(paths, with_roles(mapping, options.role), *part(options))
+
+
+def part(options: argparse.Namespace) -> tuple[float | None, float | None]:
+    """From and to, in seconds; None where there is no such limit."""
     from_s, to_s = getattr(options, "from_s", None), getattr(options, "to_s", None)
     if from_s is not None and to_s is not None and to_s <= from_s:
         raise FieldlocError(f"--to {to_s:g}: needs to be more than --from {from_s:g}")
-    mapping = load_mapping(options.mapping) if options.mapping else LogMapping()
-    return LogFile(paths, with_roles(mapping, options.role), from_s, to_s)
+    return from_s, to_s
