@@ -49,7 +49,8 @@ class Ros1Bag:
                 self._entries = self._scan(file, path.stat().st_size)
         except OSError as error:
             raise FieldlocError(f"{path}: cannot be read: {error.strerror or error}") from None
-        channels = np.array([self._channels.get(int(number), -1) for number in self._entries["connection"]], dtype=int)
+        connections, places = np.unique(self._entries["connection"], return_inverse=True)
+        channels = np.array([self._channels.get(number, -1) for number in connections.tolist()], dtype=int)[places]
         if (lost := int((channels < 0).sum())) > 0:
             self._damage.append(f"{lost} messages are of a connection that is described nowhere")
         self._entries = self._entries[channels >= 0]

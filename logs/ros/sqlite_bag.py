@@ -81,6 +81,8 @@ class SqliteBag:
                 try:
                     for row in base.execute(query, (*wanted, start, end)):
                         if (message := _message(row)) is not None:
+                            if (message.log_time_ns, row[0]) <= done:
+                                raise sqlite3.DatabaseError("its index leads astray")
                             yield message
                             done = message.log_time_ns, row[0]
                     return
@@ -94,7 +96,7 @@ class SqliteBag:
         """Row by row what is left of a broken table, from the message behind `done` (its time and row) on."""
         assert self._rows is not None
         lost = 0
-        for time, row, channel in self._rows.tolist():
+        for time, row, channel in (each for some in _slices(self._rows) for each in some.tolist()):
             if (time, row) <= done or time >= end or channel not in wanted:
                 continue
             try:
@@ -132,6 +134,11 @@ class SqliteBag:
 
 
 _ALWAYS = 2**63 - 1
+
+
+def _slices(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """A few thousand at once, since they become Python's numbers."""
+    return (rows[start : start + 4096] for start in range(0, len(rows), 4096))
 
 
 def _size(path: Path) -> int:
