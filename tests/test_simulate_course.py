@@ -111,6 +111,21 @@ def test_a_player_does_all_that_players_do() -> None:
     }
     for kind, moments in kinds.items():
         assert moments.sum() * SAMPLE_S > 1.0, kind
+    # an arc is walked along the heading, and a ball that is circled stays at the feet
+    assert np.abs(left[kinds["walks an arc"]]).max() < 1e-9
+    circled = kinds["circles the ball"]
+    np.testing.assert_allclose(left[circled], -0.25 * turn[circled], atol=1e-9)
+
+
+def test_nobody_backs_off_the_field() -> None:
+    player, pose, backed = Player(WALK, (-0.7, -0.7, 0.7, 0.7), generator(2)), np.zeros(3), 0
+    for _ in range(600):
+        piece = player.next_piece(pose)
+        pose = path(pose, piece)[-1]
+        if piece[:, 0].min() < -0.01:
+            backed += 1
+            assert np.abs(pose[:2]).max() < 0.9
+    assert backed > 20
 
 
 class _Forgetful(Player):

@@ -141,6 +141,18 @@ def test_events_strike_at_their_rates_and_wait_for_each_other() -> None:
     assert not game(replace(IDEAL, duration_s=600.0)).walk.happened
 
 
+def test_events_strike_in_the_order_of_their_times() -> None:
+    mixed = replace(
+        IDEAL,
+        duration_s=100.0,
+        falls=FallSettings(at_s=(60.0,)),
+        kidnappings=KidnappingSettings(at_s=(80.0, 30.0)),
+        penalties=PenaltySettings(at_s=(5.0,), carry_s=(2.0, 2.0), stand_s=(5.0, 5.0)),
+    )
+    begun = [(event.kind, (event.begin_ns - BEGIN_NS) / 1e9) for event in game(mixed).walk.happened]
+    assert begun == [("penalty", 5.0), ("kidnapping", 30.0), ("fall", 60.0), ("kidnapping", 80.0)]
+
+
 def test_what_happens_at_the_end_is_cut_off_there() -> None:
     of = game(replace(IDEAL, duration_s=20.0, kidnappings=KidnappingSettings(at_s=(19.0, 25.0))))
     assert [event.kind for event in of.walk.happened] == ["kidnapping"]
@@ -180,6 +192,16 @@ def test_what_is_ready_in_a_stall_comes_at_its_end_and_nothing_overtakes_in_a_to
         assert np.sum(held == end_ns) >= len(held) - 4 >= 12
     # 200 stalls of 0.35 s in 600 s; four standard errors
     assert abs(len(delivery.stalls_ns) - 200) < 57
+
+
+def test_stalls_and_gaps_that_overlap_are_one() -> None:
+    often = DeliverySettings(stalls_per_min=60.0, stall_s=(0.5, 2.0), gaps_per_min=60.0, gap_s=(0.5, 2.0))
+    delivery = Delivery(often, 0, 1000.0, generator())
+    for intervals in (delivery.stalls_ns, delivery.gaps_ns):
+        assert np.all(intervals[1:, 0] > intervals[:-1, 1])
+        # 1 a second for 1.25 s on average leaves exp(-1.25) free; 1000 of them, four standard errors of about 0.02
+        covered = np.sum(intervals[:, 1] - intervals[:, 0]) / 1e12
+        assert abs(covered - (1.0 - np.exp(-1.25))) < 0.08
 
 
 def test_a_gap_takes_all_topics_of_the_robot_but_not_the_truth(tmp_path: Path) -> None:
