@@ -144,6 +144,18 @@ def test_of_a_long_log_the_spikes_stay_and_the_page_stays_below_five_megabytes(t
         assert np.diff(t).max() < 0.2
 
 
+def test_spikes_stay_also_without_covariances(tmp_path: Path) -> None:
+    truth = circle(20_000)
+    poses = truth.poses.copy()
+    poses[7_777, 1] -= 2.0
+    poses[8_888, 2] += 1.0
+    data = document(written(tmp_path / "page.html", result({"a": Trajectory(truth.stamps_ns, poses)}, truth)))
+    errors = data["runs"][0]["errors"]
+    assert errors["width"] == 2
+    assert array(errors["columns"], 2).max(axis=0) == pytest.approx([2.0, 1.0], rel=1e-6)
+    assert len(array(errors["t"])) <= Limits().errors
+
+
 def test_a_covariance_that_is_none_does_not_break_the_page(tmp_path: Path) -> None:
     truth = circle(10)
     estimate = off_by(truth, 0.01)
@@ -190,6 +202,12 @@ def test_an_image_is_drawn_where_its_features_stand_on_the_ground() -> None:
     start, end = drawn.segments[1].reshape(2, 2)
     toward, _ = project_points(CAMERA, MOUNT, np.array([[*(start + 0.2 * (end - start)), 1.0]]))
     assert toward[0, 0] == pytest.approx(305.0, abs=8.0)  # straight above the ray, but for the camera's roll
+
+
+def test_a_post_that_the_lens_cannot_show_is_left_out() -> None:
+    fisheye = Camera("fisheye", 640, 480, 100.0, 100.0, 319.5, 239.5)
+    beyond = PostObservation(np.array([[2000.0, 200.0], [2010.0, 200.0]]), np.eye(4))  # 16 radians off the axis
+    assert len(seen([ImageFeatures(7, MOUNT, (beyond,), ())], fisheye).segments) == 0
 
 
 def test_images_without_a_camera_show_nothing() -> None:
