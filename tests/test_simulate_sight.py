@@ -156,6 +156,8 @@ def test_a_detector_knows_no_names_and_no_order() -> None:
     assert {post.label for image in images for post in image.posts} == {None}
     firsts = {tuple(np.sort(image.lines[0].ends_px, axis=0).round(6).ravel()) for image in images}
     assert len(firsts) == len(images[0].lines) > 3
+    left_first = {bool(image.posts[0].edges_px[0, 0] < image.posts[1].edges_px[0, 0]) for image in images}
+    assert left_first == {True, False}
     directions = {bool(image.lines[0].ends_px[0, 0] < image.lines[0].ends_px[1, 0]) for image in images}
     assert directions == {True, False}
 
