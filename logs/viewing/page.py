@@ -22,6 +22,7 @@ from logs.viewing.page_data import Limits, page_document
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # the report's: Okabe and Ito, 2008
 _FULL = Limits()
+_PARTS = ("frame.html", "style.css", "data.js", "state.js", "field.js", "strips.js", "words.js", "controls.js")
 
 
 def write_page(path: Path, result: LogResult, seen: Seen | None = None, limits: Limits = _FULL) -> None:
@@ -30,11 +31,14 @@ def write_page(path: Path, result: LogResult, seen: Seen | None = None, limits: 
     text = json.dumps(page_document(result, seen, colours, limits), allow_nan=False, separators=(",", ":"))
     names = ", ".join(run.name for run in result.runs)
     title = f"{names} on {result.log_name}" if names else result.log_name
-    folder = resources.files("logs.viewing")
-    style, player, frame = (
-        (folder / name).read_text(encoding="utf-8") for name in ("player.css", "player.js", "player.html")
-    )
-    parts = {"title": escape(title), "style": style, "data": text.replace("<", "\\u003c"), "player": player}
+    folder = resources.files("logs.viewing") / "browser"
+    frame, style, *scripts = ((folder / name).read_text(encoding="utf-8") for name in _PARTS)
+    parts = {
+        "title": escape(title),
+        "style": style,
+        "data": text.replace("<", "\\u003c"),
+        "player": "\n".join(scripts),
+    }
     page = re.sub(r"\{\{(\w+)\}\}", lambda slot: parts[slot[1]], frame)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_text(path) as file:
