@@ -287,6 +287,35 @@ def test_broken_messages_of_others_are_left_out_and_counted(tmp_path):
         )
 
 
+@pytest.mark.parametrize("value", [1e300, -1e308, 1e-320, np.inf])
+def test_numbers_beyond_all_reason_are_left_out_and_the_rest_is_read(tmp_path, value):
+    def start(x, variance):
+        pose = {"position": xyz([x, 0, 0]), "orientation": {"w": 1.0}}
+        covariance = np.diag([variance] * 6).ravel()
+        return {"header": header(ns(1), "map"), "pose": {"pose": pose, "covariance": covariance}}
+
+    def mag(x):
+        return {"header": header(ns(1), "base_footprint"), "magnetic_field": xyz([x, x, x])}
+
+    messages = [("/initialpose", ns(1), start(x, v)) for x, v in ((value, 1.0), (2.0, value), (3.0, 1.0))]
+    messages += [("/imu/mag", ns(1), mag(x)) for x in (value, 1e-5)]
+    messages += [("/odom", ns(i), odom(i, x)) for i, x in ((1, 1.0), (2, value), (3, 1.5))]
+    log = LogFile(write_messages(tmp_path / "log.mcap", messages), LogMapping(compass=CompassSettings(north_rad=0.0)))
+    tiny = abs(value) < 1.0
+    starts = list(log.records(InitialPose))
+    assert [record.pose[0] for record in starts] == ([value] if tiny else []) + [2.0, 3.0]
+    assert all(np.linalg.eigvalsh(record.covariance)[0] > 0.0 for record in starts)
+    assert len(list(log.records(Compass))) == (1 if tiny or np.isinf(value) else 2)
+    assert all(abs(record.velocity).max() < 1.0 for record in log.records(Odometry))
+
+
+def test_a_log_time_later_than_any_stamp_makes_no_stamp_that_is_none(tmp_path):
+    path = write_messages(
+        tmp_path / "log.mcap", [("/cmd_vel", 2**64 - 1 - i, {"linear": xyz([0.3, 0, 0])}) for i in (2, 1)]
+    )
+    assert all(record.stamp_ns == 2**63 - 1 for record in LogFile(path).records(Odometry))
+
+
 def test_a_commanded_velocity_is_odometry_with_a_warning(tmp_path):
     path = write_messages(
         tmp_path / "log.mcap", [("/cmd_vel", ns(i), {"linear": xyz([0.3, 0, 0])}) for i in range(1, 4)]

@@ -1,8 +1,13 @@
 """Parts to records: which adapter serves which role."""
 
 from collections.abc import Iterator, Sequence
+from math import isfinite
 from typing import Protocol
 
+import numpy as np
+
+from estimators.base import Estimate
+from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Odometry, Truth
 from logs.foreign.camera import CameraAdapter
 from logs.foreign.compass import CompassAdapter
 from logs.foreign.images import ImageAdapter
@@ -47,6 +52,25 @@ def adapter(role: str, topics: Sequence[str], around: Surroundings) -> Adapter |
             return PoseAdapter(around, initial_pose(around.mapping.initial_pose))
         case _:
             return None
+
+
+def is_finite(record: Record) -> bool:
+    """Whether someone can compute with it."""
+    match record:
+        case Odometry():
+            return bool(np.isfinite(record.velocity).all())
+        case Truth() | Estimate() | InitialPose():
+            return bool(np.isfinite(record.pose).all())
+        case LandmarkScan():
+            return bool(np.isfinite(record.range_bearing).all() and np.isfinite(record.covariance).all())
+        case Compass():
+            return isfinite(record.heading_rad)
+        case ImageFeatures():
+            seen = [*(post.edges_px for post in record.posts), *(line.ends_px for line in record.lines)]
+            feet = [post.foot_px for post in record.posts if post.foot_px is not None]
+            return all(bool(np.isfinite(pixels).all()) for pixels in (*seen, *feet))
+        case _:
+            return True
 
 
 def stamp_of(part: Part) -> int | None:

@@ -22,6 +22,7 @@ Pair = tuple[str, str]
 """Parent and child."""
 
 _MAX_AGE_S = 0.25
+_LAST_NS = 2**63 - 1
 _MAX_SAMPLES = 500_000  # 32 MB; beyond it only what is asked for is kept
 
 
@@ -50,6 +51,7 @@ class Frames:
 
     def add(self, transforms: Iterable[Transform], log_time_ns: int, static: bool = False) -> None:
         """What one message says. A stamp of 0 is the beginning of time, and the log time where that is taken."""
+        log_time_ns = min(log_time_ns, _LAST_NS)
         for transform in transforms:
             parent, child = plain(transform.parent), plain(transform.child)
             if not parent or not child or parent == child:

@@ -6,7 +6,6 @@ lower side is the foot. Lines on the ground in metres go back to the pixels that
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,11 +27,7 @@ _STEEPEST = 0.5  # lean of a post in the image, as a slope
 _NO_CAMERA = "no camera intrinsics: the log has none; give them with camera = FILE in a --mapping"
 
 _Detections = ImageDetectionsPart | SpaceDetectionsPart
-
-
-@dataclass(slots=True)
-class _Image:
-    parts: dict[str, _Detections] = field(default_factory=dict)
+_Image = dict[str, _Detections]  # by topic
 
 
 class ImageAdapter:
@@ -47,7 +42,7 @@ class ImageAdapter:
         if not isinstance(part, ImageDetectionsPart | SpaceDetectionsPart):
             return
         _check(part)
-        self._waiting.setdefault(stamp_ns, _Image()).parts[topic] = part
+        self._waiting.setdefault(stamp_ns, {})[topic] = part
         self._newest_ns[topic] = max(self._newest_ns[topic], stamp_ns)
         yield from self._ready()
 
@@ -66,18 +61,18 @@ class ImageAdapter:
                 yield from self._features(stamp_ns, image)
 
     def _features(self, stamp_ns: int, image: _Image) -> Iterator[ImageFeatures]:
-        if not any(len(part.lines) or len(_posts(part)) for part in image.parts.values()):
+        if not any(len(part.lines) or len(_posts(part)) for part in image.values()):
             return
         around = self._around
         try:
             if around.camera is None:
                 raise Unusable(_NO_CAMERA)
-            frames = [part.frame for part in image.parts.values() if isinstance(part, ImageDetectionsPart)]
+            frames = [part.frame for part in image.values() if isinstance(part, ImageDetectionsPart)]
             mount = around.mount(frames[0] if frames else "", stamp_ns)
             posts: list[PostObservation] = []
             lines: list[LineObservation] = []
             noise = around.mapping.detections
-            for part in image.parts.values():
+            for part in image.values():
                 if isinstance(part, ImageDetectionsPart):
                     posts += posts_of_boxes(part, around.camera, mount, noise)
                     ends = part.lines
@@ -86,7 +81,7 @@ class ImageAdapter:
                 sure = ~(part.line_confidences < noise.min_confidence) if ends is part.lines else slice(None)
                 lines += [LineObservation(pair, noise.line_sigma_px**2 * np.eye(4)) for pair in ends[sure]]
         except Unusable as error:
-            for topic in image.parts:
+            for topic in image:
                 around.notes.leave_out(topic, complaint(topic, stamp_ns, str(error)))
             return
         if posts or lines:

@@ -5,8 +5,10 @@ from dataclasses import replace
 from functools import cached_property
 from itertools import islice
 
+import numpy as np
+
 from fieldloc.camera import Camera
-from logs.foreign.adapters import Adapter, adapter, frames_of, stamp_of
+from logs.foreign.adapters import Adapter, adapter, frames_of, is_finite, stamp_of
 from logs.foreign.camera import camera_of
 from logs.foreign.frames import Frames, plain
 from logs.foreign.notes import Notes, complaint
@@ -202,14 +204,21 @@ class Translation:
             return
         topic, notes = self._interpreter.topic(raw.channel), self._interpreter.notes
         stated_ns = stamp_of(part)
-        stamp_ns = raw.log_time_ns if stated_ns is None else notes.stamp(topic, stated_ns, raw.log_time_ns)
+        stamp_ns = notes.stamp(topic, stated_ns, raw.log_time_ns)
         for made in self._adapters[raw.channel]:
-            try:
-                yield from made.take(topic, stamp_ns, part)
-            except Unusable as error:
-                notes.leave_out(topic, complaint(topic, stamp_ns, str(error)))
+            out: list[Record] = []
+            with np.errstate(all="ignore"):  # numbers beyond all reason end as NaN
+                try:
+                    out += made.take(topic, stamp_ns, part)
+                except Unusable as error:
+                    notes.leave_out(topic, complaint(topic, stamp_ns, str(error)))
+            for record in out:
+                if is_finite(record):
+                    yield record
+                else:
+                    notes.leave_out(topic, complaint(topic, stamp_ns, "its numbers are beyond all reason"))
 
     def finish(self) -> Iterator[Record]:
         """What was waiting for more."""
         for made in self._all:
-            yield from made.finish()
+            yield from filter(is_finite, made.finish())

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from logs.schema import seconds
 
 _SECOND_NS = 1_000_000_000
+_LAST_NS = 2**63 - 1  # what a record's stamp can be; log times go twice as far
 _APART_NS = 10 * _SECOND_NS  # between a measurement and its log; more is another clock
 
 
@@ -40,9 +41,10 @@ class Notes:
 
     def stamp(self, topic: str, stamp_ns: int | None, log_time_ns: int) -> int:
         """When it was measured: what the message says, the log time where it says nothing."""
+        log_time_ns = min(log_time_ns, _LAST_NS)
         if stamp_ns is None:
             return log_time_ns
-        if 0 < stamp_ns < 2**63:
+        if 0 < stamp_ns <= _LAST_NS:
             if topic not in self._lags_ns:
                 self._lags_ns[topic] = log_time_ns - stamp_ns
             return stamp_ns

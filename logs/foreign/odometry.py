@@ -16,13 +16,14 @@ from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
 from logs.foreign.frames import plain
 from logs.foreign.parts import OdometryPart, Part, PosePart, Transforms, TwistPart
+from logs.foreign.planar import planar_covariance
 from logs.foreign.rotations import STILL, Motion, compose, inverse, matrix, motion, on_the_ground
 from logs.foreign.surroundings import ODOM_NAMES, Surroundings, Unusable, last
 
-_PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and the turn about z of a 6 x 6
 _SHORTEST_NS = 1_000_000  # a velocity over less than this is noise of the clock
 _RESTART_NS = 1_000_000_000  # a stamp that is earlier by more comes from a clock that was set
 _JUMP_M, _JUMP_RAD = 0.05, 0.1  # beyond what the top speed explains
+_FASTEST = 1e3  # m/s, rad/s: beyond it a velocity is none
 _WIDEST = 10.0  # m/s, rad/s: a driver that states more says that it does not know
 
 
@@ -81,7 +82,7 @@ class OdometryAdapter:
         if pose is not None and (found := motion(pose.position, pose.rotation)) is not None:
             on_ground = on_the_ground(compose(found, child_from_robot))
         velocity = covariance = None
-        if twist is not None and np.isfinite(twist.linear).all() and np.isfinite(twist.angular).all():
+        if twist is not None and _is_velocity(twist.linear) and _is_velocity(twist.angular):
             velocity, turn = _in_robot(twist, child_from_robot)
             if self._settings.use_covariance and twist.covariance is not None:
                 covariance = _sane(twist.covariance, turn)
@@ -127,6 +128,10 @@ class OdometryAdapter:
         return Odometry(sample.stamp_ns, velocity, sample.covariance)
 
 
+def _is_velocity(vector: FloatArray) -> bool:
+    return bool((np.abs(vector) < _FASTEST).all())  # False for NaN too
+
+
 def _in_robot(twist: TwistPart, child_from_robot: Motion) -> tuple[FloatArray, FloatArray]:
     """Velocity (3,) of the robot's origin along its axes, and how the child's axes are turned in them (3, 3)."""
     if child_from_robot is STILL:
@@ -141,8 +146,4 @@ def _sane(covariance: FloatArray, robot_from_child: FloatArray) -> FloatArray | 
     """(3, 3) of forward, left, turn; None where it cannot be meant."""
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = robot_from_child
-    planar = np.asarray((turn @ covariance @ turn.T)[_PLANAR])
-    planar = 0.5 * (planar + planar.T)
-    if not np.isfinite(planar).all() or planar.diagonal().max() > _WIDEST**2:
-        return None
-    return planar if np.linalg.eigvalsh(planar)[0] > 1e-12 * planar.diagonal().max() > 0.0 else None
+    return planar_covariance(turn @ covariance @ turn.T, _WIDEST)

@@ -11,11 +11,10 @@ from fieldloc.measurements import InitialPose, Truth
 from fieldloc.pose import FloatArray
 from logs.foreign.frames import plain
 from logs.foreign.parts import OdometryPart, Part, PosePart
+from logs.foreign.planar import planar_covariance
 from logs.foreign.rotations import STILL, Motion, compose, motion, on_the_ground
 from logs.foreign.settings import InitialPoseSettings
 from logs.foreign.surroundings import FIELD_NAMES, Surroundings, Unusable, last
-
-_PLANAR = np.ix_((0, 1, 5), (0, 1, 5))
 
 P = TypeVar("P", Truth, InitialPose, Estimate)
 Make = Callable[[int, FloatArray, FloatArray | None], P]
@@ -82,13 +81,3 @@ def initial_pose(settings: InitialPoseSettings) -> Make[InitialPose]:
         return InitialPose(stamp_ns, pose, usual if covariance is None else covariance)
 
     return make
-
-
-def planar_covariance(covariance: FloatArray) -> FloatArray | None:
-    """(3, 3) of x, y, heading out of (6, 6); None where it is none or has no inverse."""
-    planar = np.asarray(covariance[_PLANAR])
-    planar = 0.5 * (planar + planar.T)
-    if not np.isfinite(planar).all() or planar.diagonal().min() <= 0.0:
-        return None
-    scale = 1.0 / np.sqrt(planar.diagonal())
-    return planar if np.linalg.eigvalsh(planar * scale[:, None] * scale)[0] > 1e-9 else None

@@ -3,7 +3,7 @@
 A rigid motion a_from_b is its translation and its rotation: p_in_a = rotate(rotation, p_in_b) + translation.
 """
 
-from math import acos, atan2, isfinite, sin, sqrt
+from math import acos, atan2, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ Quaternion = tuple[float, float, float, float]
 
 NO_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 _SHORTEST = 1e-3  # a quaternion below this length is a message that nobody filled in
+_FARTHEST_M = 1e9  # a position beyond it is no position
 _NEARLY_EQUAL = 0.9995  # cosine above which a straight line between quaternions is as good as the arc
 
 
@@ -33,7 +34,7 @@ def motion(translation: FloatArray, rotation: FloatArray) -> Motion | None:
     tx, ty, tz = translation.tolist()
     x, y, z, w = rotation.tolist()
     length = sqrt(x * x + y * y + z * z + w * w)
-    if not (isfinite(tx + ty + tz) and _SHORTEST < length < 1.0 / _SHORTEST):
+    if not (abs(tx) + abs(ty) + abs(tz) < _FARTHEST_M and _SHORTEST < length < 1.0 / _SHORTEST):  # False for NaN too
         return None
     return Motion((tx, ty, tz), (x / length, y / length, z / length, w / length))
 
