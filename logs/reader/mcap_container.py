@@ -14,6 +14,7 @@ from logs.reader.chunks import lost_chunk, read_chunk, read_cut_chunk
 from logs.reader.damage import Lost
 from logs.reader.order import in_time_order
 from logs.reader.records import MAGIC, Damaged, Op, read_spans
+from logs.reader.resync import resync
 from logs.reader.scan import Scan
 from logs.reader.summary import contents_by, read_summary
 from logs.reader.unpacked import Unpacked, Wanted, select, walk
@@ -116,16 +117,31 @@ class McapContainer:
         if not block.chunks:
             file.seek(block.start)
             buffer = file.read(block.end - block.start)
-            yield select(buffer, np.array(walk(buffer).messages, np.int64), wanted, block.start, block.start)
+            places = _loose_messages(file, block, buffer)
+            yield select(buffer, np.array(places, np.int64), wanted, block.start, block.start)
         elif block.cut:
             buffer, found = read_cut_chunk(file, block.start, self._size)
             yield select(buffer, np.array(found.messages, np.int64), wanted, block.start, block.start)
         elif block.chunks == 1:
             yield from self._chunk(file, block, block.start, block.end, wanted)
         else:
-            for span in read_spans(file, block.start, block.end):
-                if span.opcode == Op.CHUNK:
-                    yield from self._chunk(file, block, span.start, span.end, wanted)
+            for start, end in self._chunks(file, block):
+                yield from self._chunk(file, block, start, end, wanted)
+
+    def _chunks(self, file: IO[bytes], block: Block) -> Iterator[tuple[int, int]]:
+        """Where the chunks of a block of several are."""
+        at: int | None = block.start
+        while at is not None:
+            try:
+                for span in read_spans(file, at, block.end):
+                    at = span.end
+                    if span.opcode == Op.CHUNK:
+                        yield span.start, span.end
+                return
+            except Damaged:
+                if at not in self._contents.losses.chunks:
+                    self._contents.losses.records.add(at)
+                at = resync(file, at + 1, block.end)
 
     def _chunk(self, file: IO[bytes], block: Block, start: int, end: int, wanted: Wanted) -> Iterator[Unpacked]:
         if start in self._contents.losses.chunks:
@@ -143,3 +159,16 @@ class McapContainer:
             if unpacked.times[0] < block.first_ns:
                 self._contents.losses.late.add(start)
             yield unpacked
+
+
+def _loose_messages(file: IO[bytes], block: Block, buffer: bytes) -> list[int]:
+    """Where in the block each message begins; the block may have been put together around damage."""
+    found = walk(buffer)
+    places = found.messages
+    while found.end < len(buffer):
+        following = resync(file, block.start + found.end + 1, block.end)
+        if following is None:
+            break
+        found = walk(buffer, following - block.start)
+        places += found.messages
+    return places

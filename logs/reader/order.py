@@ -29,26 +29,62 @@ def in_time_order(
     blocks: Iterable[Block], open_block: Open, first_ns: int, budget_bytes: int = BUDGET_BYTES
 ) -> Iterator[Iterable[RawMessage]]:
     """Batches of messages with first_ns <= log time, at equal times as they stand in the file."""
-    by_start = {block.start: block for block in blocks}
-    due: list[_Key] = [(max(block.first_ns, first_ns), block.start) for block in by_start.values()]
-    heapq.heapify(due)
+    due = _Due(blocks, first_ns)
     waiting: list[Unpacked] = []  # in the order of the file
-    horizon: _Key | None = None  # what comes later is not worth keeping
-    again: set[int] = set()  # blocks of which the first messages were had
+    held = 0
+    horizon: _Key | None = None  # what comes from then on is left for later
     while due:
-        key = heapq.heappop(due)
-        if horizon is not None and key >= horizon:
-            horizon = None
-        from_ns = key[0] if key[1] in again else first_ns  # a block may claim to begin later than it does
-        for unpacked in open_block(by_start[key[1]], from_ns):
-            insort(waiting, unpacked, key=_ORDER)
-        if horizon is not None:
-            again |= _forget(waiting, horizon, due, key[1])
-        if len(waiting) > 1 and sum(unpacked.bytes_held for unpacked in waiting) > budget_bytes:
+        for unpacked in open_block(*due.pop()):
+            kept = unpacked if horizon is None else _before(unpacked, horizon, due)
+            insort(waiting, kept, key=_ORDER)
+            held += kept.bytes_held
+        if held > budget_bytes:
+            waiting = [unpacked.compact() for unpacked in waiting]
+            held = _held(waiting)
+        if held > budget_bytes and len(waiting) > 1:
             horizon = _turn_after(waiting, budget_bytes // 2)
-            again |= _forget(waiting, horizon, due)
-        yield from _ready(waiting, due[0] if due else None)
-    yield from _ready(waiting, None)
+            waiting = [_before(unpacked, horizon, due) for unpacked in waiting]
+            held = _held(waiting)
+        following = due.next()
+        if horizon is None or following is None or following >= horizon:
+            yield from _ready(waiting, following)
+            held, horizon = _held(waiting), None
+
+
+class _Due:
+    """Blocks by the turn of their next message; a block is opened again if messages of it were left for later."""
+
+    def __init__(self, blocks: Iterable[Block], first_ns: int) -> None:
+        self._blocks = {block.start: block for block in blocks}
+        self._turn_ns = {block.start: max(block.first_ns, first_ns) for block in self._blocks.values()}
+        self._from_ns = dict.fromkeys(self._blocks, first_ns)  # a block may claim to begin later than it does
+        self._heap: list[_Key] = [(turn_ns, start) for start, turn_ns in self._turn_ns.items()]
+        heapq.heapify(self._heap)
+
+    def next(self) -> _Key | None:
+        """The earliest turn."""
+        while self._heap and self._turn_ns.get(self._heap[0][1]) != self._heap[0][0]:
+            heapq.heappop(self._heap)  # it was put earlier since
+        return self._heap[0] if self._heap else None
+
+    def __bool__(self) -> bool:
+        return self.next() is not None
+
+    def pop(self) -> tuple[Block, int]:
+        """The block whose turn it is, and from when on its messages are wanted."""
+        _, start = heapq.heappop(self._heap)
+        del self._turn_ns[start]
+        return self._blocks[start], self._from_ns[start]
+
+    def put(self, start: int, from_ns: int) -> None:
+        """The messages of a block from this log time on are left for later."""
+        if from_ns < self._turn_ns.get(start, from_ns + 1):
+            self._turn_ns[start] = self._from_ns[start] = from_ns
+            heapq.heappush(self._heap, (from_ns, start))
+
+
+def _held(waiting: list[Unpacked]) -> int:
+    return sum(unpacked.bytes_held for unpacked in waiting)
 
 
 def _turn_after(waiting: list[Unpacked], size: int) -> _Key:
@@ -61,25 +97,13 @@ def _turn_after(waiting: list[Unpacked], size: int) -> _Key:
     return int(times[last]), int(blocks[last]) + 1
 
 
-def _forget(waiting: list[Unpacked], horizon: _Key, due: list[_Key], only: int | None = None) -> set[int]:
-    """Drop the messages from `horizon` on (of one block only, where one is given), and note when they are due.
-
-    Which blocks they are of.
-    """
-    again: dict[int, int] = {}
-    for i, unpacked in enumerate(waiting):
-        if only is not None and unpacked.block != only:
-            continue
-        keep = unpacked.count_before(horizon)
-        if keep < len(unpacked.times):
-            first_ns = int(unpacked.times[keep])
-            again[unpacked.block] = min(first_ns, again.get(unpacked.block, first_ns))
-            kept = unpacked.take(keep)
-            waiting[i] = kept.compact() if kept.sizes().sum() < len(kept.buffer) // 2 else kept
-    for block, first_ns in again.items():
-        heapq.heappush(due, (first_ns, block))
-    waiting[:] = [unpacked for unpacked in waiting if len(unpacked.times)]
-    return set(again)
+def _before(unpacked: Unpacked, horizon: _Key, due: _Due) -> Unpacked:
+    """The messages before the horizon; the rest is left for later."""
+    count = unpacked.count_before(horizon)
+    if count == len(unpacked.times):
+        return unpacked
+    due.put(unpacked.block, int(unpacked.times[count]))
+    return unpacked.take(count).compact()
 
 
 def _ready(waiting: list[Unpacked], next_due: _Key | None) -> Iterator[Iterable[RawMessage]]:
