@@ -229,7 +229,6 @@ def test_a_log_without_messages_says_so(tmp_path):
     ("schema", "encoding", "complaint"),
     [
         ("fieldloc.Truth.v1", "json", r"/odometry carries fieldloc\.Truth\.v1 \(json\), needs fieldloc\.Odometry\.v1"),
-        ("std_msgs/msg/String", "cdr", r"/odometry carries std_msgs/msg/String \(cdr\), needs"),
         ("fieldloc.Odometry.v1", "cbor", r"/odometry carries fieldloc\.Odometry\.v1 \(cbor\), needs"),
         ("fieldloc.Odometry.v2", "json", r"/odometry carries fieldloc\.Odometry\.v2, .*update fieldloc"),
     ],

@@ -138,6 +138,9 @@ class LogFile:
         own = self._own(self._topics(role), role)
         translation = self._interpreter.translation({role: self._interpreter.channels(role)})
         if not own and not translation.channels:
+            for source, count in self.sources:
+                if count and source.topic in self._topics(role) and (problem := self.problem(source)):
+                    self._notes.say(problem)
             return iter(())
         span = (None, self._span[1]) if kind in _LATCHED else self._span
         return (message.record for message in self._decoded(own, translation, span) if isinstance(message.record, kind))
