@@ -3,6 +3,7 @@
 import contextlib
 import random
 import struct
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -192,6 +193,20 @@ def test_changed_bytes_give_messages_or_one_line(bag: Path, tmp_path: Path) -> N
         with contextlib.suppress(FieldlocError):
             opened = open_bag(changed)
             assert len(ros_bags.read(opened)) <= sum(opened.counts.values())
+
+
+def test_no_length_in_a_bag_is_believed(bag: Path, tmp_path: Path) -> None:
+    data = bag.read_bytes()
+    last = chunk_starts(bag)[-1]
+    at = last + 4 + int.from_bytes(data[last : last + 4], "little")  # the length of the chunk's data
+    huge = tmp_path / "huge.bag"
+    huge.write_bytes(data[:at] + b"\xf0\xff\xff\xff" + data[at + 4 :])
+    tracemalloc.start()
+    found = ros_bags.read(open_bag(huge))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found == ros_bags.in_time_order(MESSAGES)
+    assert peak < 10_000_000
 
 
 def test_other_bags_are_refused_with_a_way_out(tmp_path: Path, bag: Path) -> None:

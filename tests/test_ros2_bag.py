@@ -80,15 +80,16 @@ def test_a_folder_is_read_whatever_rosbag2_did_to_its_files(tmp_path: Path, mcap
 
 
 @pytest.mark.parametrize("mcap", [True, False])
-def test_a_compressed_file_that_is_cut_off_is_read_up_to_there(tmp_path: Path, mcap: bool) -> None:
+def test_a_compressed_file_that_is_cut_off_or_broken_is_read_up_to_there(tmp_path: Path, mcap: bool) -> None:
     folder = ros_bags.write_ros2(tmp_path / "walk", MESSAGES, mcap)
     (file,) = folder.glob("walk.*")
     packed = zstandard.ZstdCompressor(level=1).compress(file.read_bytes() + os.urandom(300_000))
     (folder / "metadata.yaml").unlink()
-    file.with_name(file.name + ".zstd").write_bytes(packed[: len(packed) - 200_000])
+    signed = zstandard.ZstdCompressor(write_checksum=True).compress(file.read_bytes() + os.urandom(300_000))
     file.unlink()
-    bag = open_bag(folder)
-    assert ros_bags.read(bag) == ORDERED
+    for broken in (packed[: len(packed) - 200_000], signed[:-1] + bytes([signed[-1] ^ 1])):
+        file.with_name(file.name + ".zstd").write_bytes(broken)
+        assert ros_bags.read(open_bag(folder)) == ORDERED
     file.with_name(file.name + ".zstd").write_bytes(b"no zstd" * 9)
     with pytest.raises(FieldlocError, match="not compressed by zstd"):
         open_bag(folder)
@@ -161,6 +162,17 @@ def test_nothing_is_written_beside_a_database(folder: Path) -> None:
     finally:
         os.chmod(folder, 0o755)
     assert fingerprint(folder) == before
+
+
+def test_a_database_with_a_log_of_its_own_gets_no_company_while_it_is_read(tmp_path: Path) -> None:
+    """SQLite would put two files beside it, though it only reads."""
+    path = old_database(tmp_path / "logged.db3", 2)
+    with contextlib.closing(sqlite3.connect(path)) as base:
+        base.execute("PRAGMA journal_mode=WAL")
+    assert [file.name for file in tmp_path.iterdir()] == ["logged.db3"]
+    messages = open_bag(path).messages([3])
+    next(messages)
+    assert [file.name for file in tmp_path.iterdir()] == ["logged.db3"]
 
 
 def test_what_a_killed_recorder_left_beside_its_database_is_read_too(tmp_path: Path) -> None:

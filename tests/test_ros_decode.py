@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -292,6 +293,34 @@ def test_a_string_of_no_bytes_at_all_is_empty() -> None:
     assert decode is not None
     part = decode(b"\0\1\0\0" + bytes(8) + bytes(4) + bytes(4) + bytes(4))
     assert part == ImagePart(0, "", "", b"")
+
+
+def test_a_message_of_ros_1_ends_where_its_definition_does() -> None:
+    name = "sensor_msgs/msg/Imu"
+    data = ros_messages.packed(ros_messages.message(name, {}, ros1=True), name, ros1=True)
+    decode = ros.decoder(ros_messages.source(name, ros1=True))
+    assert decode is not None
+    decode(data)
+    with pytest.raises(BadPart, match="do not fit"):
+        decode(data + b"\0")
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+def test_a_bare_header_is_the_standard_one_unless_the_package_has_its_own(ros1: bool) -> None:
+    name = "geometry_msgs/msg/TwistStamped"
+    written = ros_messages.source(name, ros1)
+    bare = written.schema_data.replace(b"std_msgs/Header header", b"Header header", 1)
+    assert bare != written.schema_data
+    message = ros_messages.random_message(name, np.random.default_rng(9), ros1)
+    data = ros_messages.packed(message, name, ros1)
+    decode = ros.decoder(replace(written, schema_data=bare))
+    assert decode is not None
+    check(decode(data), message)
+    own = bare + b"=" * 80 + b"\nMSG: geometry_msgs/Header\nfloat64 stamp\nstring frame_id\n"
+    decode = ros.decoder(replace(written, schema_data=own))
+    assert decode is not None
+    with pytest.raises(BadPart, match=r"no field header\.stamp"):
+        decode(data)
 
 
 @pytest.mark.parametrize("kind", [b"\0\3", b"\0\2", b"\0\7", b"\1\0", b"", b"\0"])

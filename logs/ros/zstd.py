@@ -31,7 +31,7 @@ def unpack_file(packed: Path, into: Path) -> None:
     try:
         with packed.open("rb") as file, into.open("wb") as out:
             try:
-                shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(file), out, 1 << 20)
+                shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(file), out, 1 << 16)
             except zstandard.ZstdError as error:
                 if out.tell() == 0:
                     raise FieldlocError(f"{packed}: is not compressed by zstd as its name says: {error}") from None
