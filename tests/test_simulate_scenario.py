@@ -138,6 +138,8 @@ def test_the_json_in_a_log_tells_every_setting() -> None:
         ('base = "chess"', "base: needs the name of another scenario (kidsize-game, "),
         ("base = 3", "base: needs the name of another scenario"),
         ("walk = [", "not valid TOML"),
+        pytest.param("walk = " + "[" * 100_000, "not valid TOML", id="brackets"),
+        pytest.param("duration_s = " + "9" * 5000, "not valid TOML", id="digits"),
     ],
 )
 def test_a_mistake_is_one_line_with_file_key_and_need(tmp_path: Path, text: str, says: str) -> None:

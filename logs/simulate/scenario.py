@@ -107,7 +107,10 @@ def _parse(text: str, source: str) -> Scenario:
 def _toml(text: str, source: str) -> Mapping[str, object]:
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # of the parser, of numbers with too many digits, of too many brackets
         raise FieldlocError(f"{source}: not valid TOML: {error}") from None
 
 
