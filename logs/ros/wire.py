@@ -59,6 +59,7 @@ def _misfit() -> BadPart:
 
 
 def block(wire: Wire, kind: str, count: int) -> Step:
+    """Floats of one type beside each other, as one array that is not to be written to."""
     dtype = np.dtype(wire.order + ("f4" if kind == "float32" else "f8"))
     size, native = dtype.itemsize * count, dtype == np.float64
     back = dtype.itemsize - 1 if wire.aligned else 0
