@@ -60,28 +60,27 @@ def summarize(
 
 def summary_of(log: LogFile) -> LogSummary:
     """The same of a log that is open."""
-    times: dict[tuple[str, str], list[int]] = {}
-    problems = {source.topic: problem for source, _ in log.sources if (problem := log.problem(source))}
-    own = {
-        source.topic: source.schema_name
-        for source, count in log.sources
-        if count and log.plays(source) and own_schema(source) and source.topic not in problems
-    }
-    if others := [source for source, count in log.sources if count and source.topic not in own]:
-        for source, time_ns in log.log_times(others):
-            if source.topic not in problems or not own_schema(source):
-                times.setdefault((source.topic, source.schema_name), []).append(time_ns)
-    if own:
-        for message in log.messages(own.keys()):
-            record = message.record
-            stamp_ns = message.log_time_ns if isinstance(record, (Camera, FieldMap)) else record.stamp_ns
-            times.setdefault((message.topic, own[message.topic]), []).append(stamp_ns)
-    rows = tuple(
-        _row(log, source, count, times.get((source.topic, source.schema_name), [])) for source, count in log.sources
-    )
+    sources = log.sources
+    problems = {source.topic: problem for source, _ in sources if (problem := log.problem(source))}
+    own = {s.topic for s, count in sources if count and own_schema(s) and log.plays(s) and s.topic not in problems}
+    decoded: dict[str, list[int]] = {topic: [] for topic in own}
+    logged: dict[int, list[int]] = {}  # by the source's identity: two may say the same of themselves but for a detail
+    others = [source for source, count in sources if count and not (own_schema(source) and source.topic in own)]
+    for source, time_ns in log.log_times(others) if others else ():
+        logged.setdefault(id(source), []).append(time_ns)
+    for message in log.messages(own) if own else ():
+        record = message.record
+        stamp_ns = message.log_time_ns if isinstance(record, (Camera, FieldMap)) else record.stamp_ns
+        decoded[message.topic].append(stamp_ns)
+    rows = []
+    for source, count in sources:
+        stamps = (
+            decoded.get(source.topic, []) if own_schema(source) and log.plays(source) else logged.get(id(source), [])
+        )
+        rows.append(_row(log, source, count, stamps))
     start_ns, end_ns = log.span_ns or (None, None)
     warnings = (*log.warnings, *(f"{log.path}: {problem}" for problem in problems.values()))
-    return LogSummary(log.path, rows, start_ns, end_ns, log.metadata, warnings)
+    return LogSummary(log.path, tuple(rows), start_ns, end_ns, log.metadata, warnings)
 
 
 def _row(log: LogFile, source: Source, count: int, stamps: list[int]) -> TopicRow:

@@ -10,6 +10,7 @@ from fieldloc.measurements import Odometry, Truth
 from logs.info import summarize
 from logs.samples import sample_path
 from logs.schema import encode
+from logs.source import Source
 from logs.writer import LogWriter
 
 
@@ -78,6 +79,18 @@ def test_a_role_can_be_played_by_another_topic(tmp_path):
     assert row.role == "odometry"
     (row,) = summarize(tmp_path / "log.mcap", {"odometry": "/feet"}).rows
     assert (row.role, row.candidate, row.count, row.first_ns) == (None, "odometry", 1, 1)
+
+
+def test_two_channels_of_one_topic_have_a_row_each_with_its_own_rate(tmp_path):
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for i in range(21):
+            log.write_raw(Source("/tf", "cdr", "tf2_msgs/msg/TFMessage", "ros2msg", b"one"), i * 10**8, b"")
+            if i % 2 == 0:
+                log.write_raw(Source("/tf", "cdr", "tf2_msgs/msg/TFMessage", "ros2msg", b"other"), i * 10**8, b"")
+    rows = summarize(tmp_path / "log.mcap").rows
+    assert [(row.topic, row.role, row.count) for row in rows] == [("/tf", "tf", 21), ("/tf", "tf", 11)]
+    assert [row.rate_hz for row in rows] == pytest.approx([10.0, 5.0])
+    assert [row.longest_gap_s for row in rows] == pytest.approx([0.1, 0.2])
 
 
 def test_a_cut_log_and_one_without_messages_have_summaries(tmp_path):

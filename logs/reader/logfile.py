@@ -56,6 +56,7 @@ class LogFile:
         containers = [open_container(Path(one)) for one in paths]
         self.container: Container = containers[0] if len(containers) == 1 else Merged(containers)
         self.path = self.container.path
+        self._sources: Mapping[int, Source] = dict(self.container.sources)
         self.mapping = mapping if isinstance(mapping, LogMapping) else _with_topics(mapping or {})
         self._notes = Notes()
         self._span = self._part(start_s, end_s)
@@ -72,7 +73,7 @@ class LogFile:
     def sources(self) -> tuple[tuple[Source, int], ...]:
         """Every channel, known to fieldloc or not, with its number of messages in the whole log, by topic."""
         counts = self.container.counts
-        pairs = [(source, counts.get(number, 0)) for number, source in self.container.sources.items()]
+        pairs = [(source, counts.get(number, 0)) for number, source in self._sources.items()]
         return tuple(sorted(pairs, key=lambda pair: (pair[0].topic, pair[0].schema_name)))
 
     @property
@@ -168,7 +169,7 @@ class LogFile:
 
     def images(self, topic: str | None = None) -> Iterator[ImagePart]:
         """Pictures as they were logged, of one topic, the likeliest if none is named. FieldlocError where none are."""
-        sources, counts = self.container.sources, self.container.counts
+        sources, counts = self._sources, self.container.counts
         parts = {n: known_type(source) for n, source in sources.items() if counts.get(n)}
         found = {n: sources[n].topic for n, part in parts.items() if part in PLAYERS["image"]}
         playing = self._interpreter.roles.topics.get("image", ())
@@ -187,10 +188,9 @@ class LogFile:
 
     def log_times(self, wanted: Collection[Source] | None = None) -> Iterator[tuple[Source, int]]:
         """Log time of every message on these channels or on all, decoded by nobody, in the order of log time."""
-        sources = self.container.sources
-        channels = [number for number, source in sources.items() if wanted is None or source in wanted]
+        channels = [number for number, source in self._sources.items() if wanted is None or source in wanted]
         for raw in self.container.messages(channels, *self._span):
-            yield sources[raw.channel], raw.log_time_ns
+            yield self._sources[raw.channel], raw.log_time_ns
 
     def _part(self, start_s: float | None, end_s: float | None) -> Span:
         span = self.container.span_ns
@@ -236,7 +236,7 @@ class LogFile:
         A message of someone else's type on a usual topic is no mistake: it is nobody's.
         """
         out = {}
-        for number, source in self.container.sources.items():
+        for number, source in self._sources.items():
             if topics is not None and source.topic not in topics:
                 continue
             mistaken = source.schema_name.startswith("fieldloc.") or self._is_told(source.topic)
