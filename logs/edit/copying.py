@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fieldloc.errors import FieldlocError
-from logs.output import output_file
 from logs.progress import Progress
 from logs.reader.container import open_container
 from logs.schema import seconds
@@ -99,14 +98,6 @@ class Copy:
 def opened(source: Container | Path | str) -> Container:
     """The container itself, or that of a path."""
     return open_container(Path(source)) if isinstance(source, (str, Path)) else source
-
-
-def checked_output(out: Path | str, sources: Iterable[Container]) -> Path:
-    """The path; FieldlocError where it is one of the sources or cannot be written."""
-    path = Path(out)
-    for source in sources:
-        output_file(path, source.path)
-    return path
 
 
 def profile(sources: Collection[Source]) -> str:

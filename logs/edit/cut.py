@@ -6,8 +6,9 @@ from itertools import chain
 from pathlib import Path
 
 from fieldloc.errors import FieldlocError
-from logs.edit.copying import Copy, Summary, checked_output, opened, profile, span
+from logs.edit.copying import Copy, Summary, opened, profile, span
 from logs.edit.lasting import carried
+from logs.output import output_file
 from logs.progress import Progress, unwatched
 from logs.schema import seconds
 from logs.source import Container, RawMessage
@@ -30,7 +31,7 @@ def cut(
     FieldlocError where nothing remains, or a name or pattern fits no topic.
     """
     container = opened(source)
-    path = checked_output(out, [container])
+    path = output_file(Path(out), container.path)
     channels = _chosen(container, topics, without)
     before = carried(container, channels, start_ns, end_ns) if start_ns is not None else []
     inside = container.messages(channels, start_ns, end_ns)

@@ -6,7 +6,8 @@ from itertools import combinations
 from pathlib import Path
 
 from fieldloc.errors import FieldlocError
-from logs.edit.copying import Copy, Summary, checked_output, opened, profile
+from logs.edit.copying import Copy, Summary, opened, profile
+from logs.output import output_file
 from logs.progress import Progress, unwatched
 from logs.reader.merged import Merged
 from logs.source import Attachment, Container, RawMessage, Source
@@ -27,7 +28,7 @@ def merge(
     many as the logs.
     """
     containers = _with_prefixes([opened(source) for source in sources], prefixes)
-    path = checked_output(out, containers)
+    path = output_file(Path(out), *(container.path for container in containers))
     for one, other in combinations(containers, 2):
         _check(one, other)
     merged = Merged(containers)

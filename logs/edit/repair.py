@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from logs.edit.copying import Copy, Summary, checked_output, opened, profile
+from logs.edit.copying import Copy, Summary, opened, profile
+from logs.output import output_file
 from logs.progress import Progress, unwatched
 from logs.source import Container
 from logs.writer import LogWriter
@@ -15,7 +16,7 @@ def repair(source: Container | Path | str, out: Path | str, progress: Progress =
     FieldlocError for a file that is no log at all, or where `out` cannot be written.
     """
     container = opened(source)
-    path = checked_output(out, [container])
+    path = output_file(Path(out), container.path)
     sources = container.sources
     with LogWriter(path, profile=profile(sources.values()), signed=False) as writer:
         copy = Copy(container, writer, progress)

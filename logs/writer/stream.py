@@ -68,7 +68,6 @@ class McapStream:
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._counts: dict[int, int] = {}
-        self._span: list[int] = []
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
@@ -205,10 +204,6 @@ class McapStream:
             self._counts[channel] = self._counts.get(channel, 0) + len(entries) // 2
         index.message_index_length = place - start
         self._chunks.append(index)
-        self._span = [
-            min([*self._span, index.message_start_time, index.message_end_time]),
-            max([*self._span, index.message_start_time, index.message_end_time]),
-        ]
         self._open = _Open()
         self._append(b"".join(pieces))
         self._due_s = monotonic() + _KEEP_S
@@ -224,15 +219,14 @@ class McapStream:
         self._kept = 0
 
     def _statistics(self) -> Statistics:
-        first, last = self._span or (0, 0)
         return Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=self._counts,
             chunk_count=len(self._chunks),
             message_count=sum(self._counts.values()),
-            message_end_time=last,
-            message_start_time=first,
+            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
