@@ -9,7 +9,7 @@ a change to one changes no other.
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain, repeat
+from itertools import repeat
 from typing import TypeVar
 
 import msgspec
@@ -20,15 +20,11 @@ from logs.messages.symmetric import are_covariances
 
 T = TypeVar("T")
 Pair = tuple[float, float]
-_Triple = tuple[float, float, float]
-_Four = tuple[float, float, float, float]
 _TOGETHER = 16  # arrays in one piece of memory
-_Matrix = tuple[tuple[float, ...], ...]
-_MATRICES: dict[int, Callable[[bytes], _Matrix]] = {
-    2: msgspec.json.Decoder(tuple[Pair, Pair]).decode,
-    3: msgspec.json.Decoder(tuple[_Triple, _Triple, _Triple]).decode,
-    4: msgspec.json.Decoder(tuple[_Four, _Four, _Four, _Four]).decode,
-}
+_FRAMES = {n: b"[" + b",".join([b"[" + b"," * (n - 1) + b"]"] * n) + b"]" for n in (2, 3, 4)}  # of an n x n matrix
+_NUMBERS_AND_SPACE = b"0123456789+-.eE \t\r\n"
+_BRACKETS_TO_SPACE = bytes.maketrans(b"[]", b"  ")
+_read_numbers = msgspec.json.Decoder(list[float]).decode
 
 
 class Odd(Exception):
@@ -106,22 +102,25 @@ def covariances_or_none(texts: Sequence[msgspec.Raw], size: int) -> list[FloatAr
     return [None if text == b"null" else next(read) for text in said] if len(told) < len(said) else [*read]
 
 
-def definite(matrices: Sequence[_Matrix], size: int) -> FloatArray:
-    """(n, size, size), each positive definite."""
-    return _checked(matrices, size, definite=True)
+def definite_covariances(texts: Sequence[msgspec.Raw], size: int) -> FloatArray:
+    """(n, size, size), each positive definite; mostly another one each time."""
+    return _checked([*map(bytes, texts)], size, definite=True)
 
 
 def _covariances(texts: Sequence[bytes], size: int) -> FloatArray:
     """(n, size, size). A robot mostly states one covariance all day: what is said twice is read once."""
     number = {text: i for i, text in enumerate(dict.fromkeys(texts))}
-    with _odd():
-        different = [*map(_MATRICES[size], number)]
-    table = _checked(different, size, definite=False)
+    table = _checked([*number], size, definite=False)
     return table if len(table) == len(texts) else table[[number[text] for text in texts]]
 
 
-def _checked(matrices: Sequence[_Matrix], size: int, definite: bool) -> FloatArray:
-    stack = block(chain.from_iterable(chain.from_iterable(matrices)), size, size)
+def _checked(texts: Sequence[bytes], size: int, definite: bool) -> FloatArray:
+    """All their numbers as one list, once the rest of the text is just the brackets and commas of such matrices."""
+    joined = b",".join(texts)
+    if joined.translate(None, _NUMBERS_AND_SPACE) != b",".join([_FRAMES[size]] * len(texts)):
+        raise Odd
+    with _odd():
+        stack = block(_read_numbers(b"[" + joined.translate(_BRACKETS_TO_SPACE) + b"]"), size, size)
     if not np.all(are_covariances(stack, definite)):
         raise Odd
     return stack

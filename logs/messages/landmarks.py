@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import accumulate, pairwise
 
 import numpy as np
+from msgspec import Raw
 
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan
@@ -144,7 +145,7 @@ class _SeenMessage(batch.Message):
     label: str | None
     range_m: float
     bearing_rad: float
-    covariance: tuple[batch.Pair, batch.Pair]  # mostly another one each time, so that Raw would not pay
+    covariance: Raw
 
 
 class _ScanMessage(batch.Message):
@@ -161,7 +162,7 @@ def landmark_scan_batch(datas: Sequence[bytes]) -> list[LandmarkScan]:
     seen = [one for m in read for one in m.landmarks]
     batch.positive([one.range_m for one in seen])
     range_bearing = batch.block([x for one in seen for x in (one.range_m, one.bearing_rad)], 2)
-    covariances = batch.definite([one.covariance for one in seen], 2)
+    covariances = batch.definite_covariances([one.covariance for one in seen], 2)
     ends = pairwise(accumulate([len(m.landmarks) for m in read], initial=0))
     return [
         LandmarkScan(
