@@ -16,13 +16,16 @@ from logs.odom import odom_from_robot
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
 from logs.replay import Recording, Replay
+from logs.ros.results import POSE_TOPIC
 from logs.schema import topic_of
 from logs.source import Container, Encoded, RawMessage, Source
 from logs.trajectory import Trajectory, from_estimates, from_truth
-from logs.writer import METADATA, LogWriter
+from logs.writer import METADATA, ROS2, LogWriter
 
 _PROGRESS_EVERY = 500
 _FOXGLOVE_NS = range(2**32 * 1_000_000_000)  # the stamps that Foxglove's messages hold
+
+_PER_ESTIMATE = (topic_of(Estimate), POSE_TOPIC)
 
 _Item = tuple[int, Source, RawMessage | Encoded]
 
@@ -37,10 +40,11 @@ def write_estimates(
     ros2: bool = False,
     offset_ns: int = 0,
 ) -> tuple[str, ...]:
-    """The map and the estimates, for fieldloc, for Foxglove and Lichtblick, and with `ros2` for ROS 2.
+    """The map and the estimates, for fieldloc, Foxglove and Lichtblick; or, with `ros2`, the estimates for ROS 2 alone:
+    its own tools open no file in which a single channel is anything else. If the log that is merged is, all are there.
 
     merge: a log whose messages go into the file too, as they are, but for earlier results. offset_ns: how much later
-    than the stamps the log times are (`result_streams.clock_offset_ns`). Returns what could not be written, a
+    than the stamps the log times are (`result_streams.clock_offset_ns`). Returns what a person should know, a
     sentence each. FieldlocError where the file cannot be written or an estimate is none.
     """
     estimates, warnings = done.estimates, []
@@ -49,23 +53,28 @@ def write_estimates(
     begin_ns = recording.measurements[0].stamp_ns + offset_ns
     if merge is not None and merge.span_ns is not None:
         begin_ns = min(begin_ns, merge.span_ns[0])
-    streams = [result_streams.own_messages(recording, estimates, begin_ns, offset_ns)]
     others = merge is not None and result_streams.has_transforms(merge)
-    if all(m.stamp_ns in _FOXGLOVE_NS for m in (recording.measurements[0], recording.measurements[-1], *estimates)):
-        frames = BESIDE_OTHERS if ros2 or others else Frames()
-        streams += result_streams.foxglove_streams(recording, estimates, odom, begin_ns, offset_ns, frames)
-    else:
-        warnings.append(f"{path}: without messages for Foxglove, whose stamps end with the year 2106")
-    streams = [_or_fail(stream, f"{path}: not written: the estimator gave a broken estimate") for stream in streams]
+    strange = result_streams.not_ros2(merge) if ros2 and merge is not None else None
+    streams = []
+    if not ros2 or strange:
+        own = [result_streams.own_messages(recording, estimates, begin_ns, offset_ns)]
+        if all(m.stamp_ns in _FOXGLOVE_NS for m in (recording.measurements[0], recording.measurements[-1], *estimates)):
+            frames = BESIDE_OTHERS if ros2 or others else Frames()
+            own += result_streams.foxglove_streams(recording, estimates, odom, begin_ns, offset_ns, frames)
+        else:
+            warnings.append(f"{path}: without messages for Foxglove, whose stamps end with the year 2106")
+        streams += [_or_fail(stream, f"{path}: not written: the estimator gave a broken estimate") for stream in own]
     if ros2:
         stream = result_streams.ros2_stream(estimates, odom, offset_ns, others)
         streams.append(_or_fail(stream, f"{path}: not written: no ROS 2 messages can be made"))
+    if strange:
+        warnings.append(f"{path}: rosbag2 and rosbags cannot open it, as {strange} of the merged log is not ROS 2")
     total = len(estimates)
     items = [_items(stream) for stream in streams]
     if merge is not None:
         total += sum(merge.counts.get(number, 0) for number in result_streams.kept_channels(merge))
         items.insert(0, _kept_items(merge))
-    with LogWriter(path, metadata) as log:
+    with LogWriter(path, metadata, ROS2 if ros2 and not strange else "") as log:
         if merge is not None:
             _keep_rest(log, merge)
         counted = 0
@@ -74,7 +83,7 @@ def write_estimates(
                 log.write_raw(source, message.log_time_ns, message.data, message.publish_time_ns, message.sequence)
             else:
                 log.add_encoded(message)
-                if source.topic != topic_of(Estimate):
+                if source.topic not in _PER_ESTIMATE:
                     continue
             if counted % _PROGRESS_EVERY == 0:
                 progress(counted, total, "writing")

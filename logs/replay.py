@@ -71,19 +71,19 @@ def load_recording(log: LogFile, field: FieldMap | None = None, progress: Progre
         raise FieldlocError(f"{log.path}: holds no map; name one with --field, for example --field kidsize")
     total = sum(count for source, count in log.sources)
     measurements: list[Measurement] = []
+    newest_ns = dict.fromkeys(_KINDS, 0)
     late: list[int] = []
-    for kind in _KINDS:
-        newest_ns = 0
-        for measurement in log.records(kind):
-            measurements.append(measurement)
-            newest_ns = max(newest_ns, measurement.stamp_ns)
-            late.append(newest_ns - measurement.stamp_ns)
-            if len(measurements) % _PROGRESS_EVERY == 0:
-                progress(len(measurements), total, "reading")
+    for measurement in log.measurements():
+        kind = type(measurement)
+        measurements.append(measurement)
+        newest_ns[kind] = max(newest_ns[kind], measurement.stamp_ns)
+        late.append(newest_ns[kind] - measurement.stamp_ns)
+        if len(measurements) % _PROGRESS_EVERY == 0:
+            progress(len(measurements), total, "reading")
     if not any(not isinstance(measurement, Odometry) for measurement in measurements):
         topics = ", ".join(log.roles[role] for role in ("landmarks", "image_features", "compass", "initial_pose"))
         raise FieldlocError(f"{log.path}: nothing to localize with: no usable message on {topics}")
-    measurements.sort(key=lambda measurement: measurement.stamp_ns)
+    measurements.sort(key=lambda measurement: (measurement.stamp_ns, _KINDS.index(type(measurement))))
     cameras = list(log.records(Camera))
     warnings = []
     if not any(isinstance(measurement, Odometry) for measurement in measurements):

@@ -64,6 +64,14 @@ def has_transforms(merge: Container) -> bool:
     return any(merge.sources[number].schema_name in _TRANSFORMS for number in kept_channels(merge))
 
 
+def not_ros2(merge: Container) -> str | None:
+    """A topic that stays of the input and that ROS 2's tools cannot read, None where there is none."""
+    kept = (merge.sources[number] for number in kept_channels(merge))
+    return next(
+        (s.topic for s in kept if s.message_encoding != "cdr" or not s.schema_encoding.startswith("ros2")), None
+    )
+
+
 def kept_messages(merge: Container) -> Iterator[tuple[Source, RawMessage]]:
     """What stays of the input, byte by byte."""
     sources = merge.sources

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from foxglove_wire import strictly
 from mcap_protobuf.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
 
 from estimators.base import Estimate
 from fieldloc import pose as se2
@@ -280,11 +281,30 @@ def test_beside_someone_elses_transforms_frames_have_names_of_their_own(tmp_path
     assert alone == {("field", "odom"), ("odom", "robot")}
 
 
-def test_ros_2_messages_stand_beside_the_others(tmp_path):
-    write(tmp_path / "out.mcap", ros2=True)
+def test_a_result_for_ros_2_holds_nothing_else_so_that_its_tools_open_it(tmp_path):
+    assert write(tmp_path / "out.mcap", ros2=True) == ()
     per_topic = counts(tmp_path / "out.mcap")
-    for topic in ("/tf", "/fieldloc/pose_with_covariance", "/fieldloc/odometry"):
-        assert per_topic[topic] == len(estimates())
+    assert per_topic == dict.fromkeys(("/tf", "/fieldloc/pose_with_covariance", "/fieldloc/odometry"), len(estimates()))
+    with AnyReader([tmp_path / "out.mcap"]) as bag:
+        poses = [
+            bag.deserialize(data, connection.msgtype).pose.pose.position
+            for connection, _, data in bag.messages()
+            if connection.topic == "/fieldloc/pose_with_covariance"
+        ]
+    assert [(pose.x, pose.y) for pose in poses] == [tuple(one.pose[:2]) for one in estimates()]
+
+
+def test_a_result_for_ros_2_is_read_back_with_its_covariances(tmp_path):
+    write(tmp_path / "out.mcap", ros2=True)
+    back = read_estimates(LogFile(tmp_path / "out.mcap"))
+    np.testing.assert_allclose(back.poses, [one.pose for one in estimates()], atol=1e-12)
+    np.testing.assert_allclose(back.covariances, [one.covariance for one in estimates()], atol=1e-15)
+
+
+def test_a_merged_log_that_ros_2_cannot_read_is_told(tmp_path):
+    (told,) = write(tmp_path / "out.mcap", ros2=True, merge=Input({1: Source("/x", "json")}, []))
+    assert "rosbags cannot open it, as /x of the merged log is not ROS 2" in told
+    assert {"/estimate", "/fieldloc/pose", "/fieldloc/pose_with_covariance"} <= set(counts(tmp_path / "out.mcap"))
     # no frame has a parent in /tf and another one here
     assert {link[1] for pair in links(tmp_path / "out.mcap") for link in pair} == {"fieldloc/odom", "fieldloc/robot"}
 

@@ -19,10 +19,10 @@ from fieldloc.pose import FloatArray
 from logs.report import write_report
 from logs.report.error_picture import error_picture
 from logs.report.field_picture import field_picture
-from logs.thinning import breaks, extremes, path
 from logs.results import LogResult, RunResult, ScoredLog, metrics_document, score
 from logs.table import log_table, summary_table
 from logs.table_text import format_columns, format_metrics, format_table
+from logs.thinning import breaks, extremes, path
 from logs.trajectory import Trajectory
 
 FIELD = FieldMap(

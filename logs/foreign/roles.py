@@ -13,7 +13,8 @@ fieldloc's own messages come first, those on the usual topic before others. Of o
 * estimate: other poses and odometry that are a localization's by name, with covariance before without.
 * tf, image, imu, magnetometer, joints: these types; they give no record by themselves.
 
-At equal merit most messages win, then the alphabet. What fieldloc wrote for viewers (/fieldloc/...) plays nothing.
+At equal merit most messages win, then the alphabet. What fieldloc wrote for viewers (/fieldloc/...) plays nothing,
+but for its estimates as ROS 2 messages.
 """
 
 import re
@@ -59,6 +60,7 @@ PLAYERS: Mapping[str, tuple[type[Part], ...]] = {
 """What the messages of others must be to play a role."""
 
 _OURS = "/fieldloc/"
+_ESTIMATE_IN_ROS = "/fieldloc/pose_with_covariance"  # logs.ros.results
 _TRUTH = re.compile(r"ground_?truth|mocap|motion_?capture|optitrack|vicon|vrpn|qualisys|(^|[/_.])(gt|truth)([/_.]|$)")
 _INITIAL = re.compile(r"initial_?pose$")
 _ESTIMATE = re.compile(r"amcl|locali[sz]|estimat|global|(^|[/_])(robot_|current_|filtered_)?pose(_with_covariance)?$")
@@ -93,7 +95,7 @@ class _Channel:
 
     @property
     def is_viewers(self) -> bool:
-        return self.topic.startswith(_OURS)
+        return self.topic.startswith(_OURS) and self.topic != _ESTIMATE_IN_ROS
 
 
 def guess_roles(

@@ -1,14 +1,15 @@
 """A log: any recording, fieldloc's own or someone else's, whose messages are read as fieldloc's records."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
+from fieldloc.measurements import Measurement
 from logs.foreign.interpreter import Interpreter, Span, Translation
 from logs.foreign.notes import Notes
 from logs.foreign.parts import ImagePart, VideoPart
@@ -133,18 +134,16 @@ class LogFile:
 
     def records(self, kind: type[R]) -> Iterator[R]:
         """What is on the topics of this kind of record, in the order of log time; nothing if there is no such topic."""
-        role = BY_KIND[kind].role
         if kind is Camera and self.mapping.camera is not None:
             return (camera for camera in (self.mapping.camera,) if isinstance(camera, kind))
-        own = self._own(self._topics(role), role)
-        translation = self._interpreter.translation({role: self._interpreter.channels(role)})
-        if not own and not translation.channels:
-            for source, count in self.sources:
-                if count and source.topic in self._topics(role) and (problem := self.problem(source)):
-                    self._notes.say(problem)
-            return iter(())
         span = (None, self._span[1]) if kind in _LATCHED else self._span
-        return (message.record for message in self._decoded(own, translation, span) if isinstance(message.record, kind))
+        return (record for record in self._records((kind,), span) if isinstance(record, kind))
+
+    def measurements(self) -> Iterator[Measurement]:
+        """What an estimator may see, of all kinds in the order of log time, in one go through the file."""
+        return (
+            record for record in self._records(get_args(Measurement), self._span) if isinstance(record, Measurement)
+        )
 
     def field_map(self) -> FieldMap | None:
         """The map that the log was recorded on, where the log says so."""
@@ -191,6 +190,21 @@ class LogFile:
         channels = [number for number, source in self._sources.items() if wanted is None or source in wanted]
         for raw in self.container.messages(channels, *self._span):
             yield self._sources[raw.channel], raw.log_time_ns
+
+    def _records(self, kinds: Iterable[type], span: Span) -> Iterator[Record]:
+        roles = [BY_KIND[kind].role for kind in kinds]
+        own: dict[int, tuple[str, Schema]] = {}
+        for role in roles:
+            of_role = self._own(self._topics(role), role)
+            if not of_role and not self._interpreter.channels(role):
+                for source, count in self.sources:
+                    if count and source.topic in self._topics(role) and (problem := self.problem(source)):
+                        self._notes.say(problem)
+            own |= of_role
+        translation = self._interpreter.translation({role: self._interpreter.channels(role) for role in roles})
+        if not own and not translation.channels:
+            return iter(())
+        return (message.record for message in self._decoded(own, translation, span))
 
     def _part(self, start_s: float | None, end_s: float | None) -> Span:
         span = self.container.span_ns

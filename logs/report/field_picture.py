@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fieldloc.field import FieldMap
 from logs.report.style import ELLIPSE, FIELD_LINE, INK, TRUTH, WIDTH_IN
-from logs.thinning import breaks, path
 from logs.results import ScoredLog, ScoredRun
+from logs.thinning import breaks, path
 from logs.trajectory import Trajectory
 
 Bounds = tuple[float, float, float, float]  # xmin, ymin, xmax, ymax

@@ -1,5 +1,5 @@
 """Logs out: an MCAP file that appears under its name only when it is whole."""
 
-from logs.writer.logwriter import METADATA, LogWriter
+from logs.writer.logwriter import METADATA, ROS2, LogWriter
 
-__all__ = ["METADATA", "LogWriter"]
+__all__ = ["METADATA", "ROS2", "LogWriter"]

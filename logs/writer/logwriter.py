@@ -19,6 +19,8 @@ from logs.writer.stream import McapStream
 
 METADATA = "fieldloc"
 """Name of the metadata record in which fieldloc says how a log was made."""
+ROS2 = "ros2"
+"""MCAP's name for a file in which everything is ROS 2."""
 
 _REMEMBERED = 1024  # sources whose channels are found without comparing their contents
 
@@ -30,7 +32,7 @@ class LogWriter:
 
     metadata: how the log was made (estimator, configuration, source, ...), stored beside fieldloc's version.
     signed: False where the record "fieldloc" with all that is left out, as in the copy of another log.
-    profile: MCAP's word for what the whole file is ("ros1", "ros2"), if it is.
+    profile: MCAP's word for what the whole file is ("ros1" or ROS2), if it is.
     The same calls give the same bytes. Until the end the messages are in a hidden file beside it, whose name ends in
     `.partial`; it is removed when the block ends by an exception, Ctrl-C or SIGTERM, and stays readable after SIGKILL:
     all but what came in its last second is in it.
