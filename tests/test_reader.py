@@ -390,7 +390,7 @@ def test_a_record_that_claims_to_be_huge_is_not_believed(tmp_path):
 def test_a_log_is_read_as_it_is_needed(tmp_path, monkeypatch):
     path = write_log(tmp_path / "log.mcap", count=400, chunk_messages=20)
     read = []
-    monkeypatch.setattr(mcap_container, "read_chunk", lambda *place: read.append(place) or chunks.read_chunk(*place))
+    monkeypatch.setattr(mcap_container, "read_chunk", lambda *at, check: read.append(at) or chunks.read_chunk(*at))
     messages = LogFile(path).messages()
     for _ in range(45):  # the 41 of the first chunk (the map is in it) and 4 of the second
         next(messages)

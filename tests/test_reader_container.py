@@ -42,9 +42,9 @@ def chunks_read(monkeypatch):
     """Where each chunk begins that is unpacked for its messages."""
     places = []
 
-    def read(file, start, end):
+    def read(file, start, end, check):
         places.append(start)
-        return read_chunk(file, start, end)
+        return read_chunk(file, start, end, check=check)
 
     monkeypatch.setattr(mcap_container, "read_chunk", read)
     return places

@@ -81,6 +81,13 @@ def test_the_parts_of_a_split_recording_are_opened_one_after_the_other(tmp_path)
     assert [raw.log_time_ns for raw in read] == list(range(11, 30))
 
 
+def test_at_an_instant_that_two_parts_share_the_order_is_that_of_the_files(tmp_path):
+    early = put(tmp_path / "early.mcap", DEFINED, message(1), message(5, sequence=1), END)
+    late = put(tmp_path / "late.mcap", DEFINED, message(5, sequence=2), message(9), END)
+    assert [raw.sequence for raw in merged(early, late).messages([1])] == [0, 1, 2, 0]
+    assert [raw.sequence for raw in merged(late, early).messages([1])] == [0, 2, 1, 0]
+
+
 def test_files_without_messages_and_no_files_at_all(tmp_path):
     empty = put(tmp_path / "a.mcap", DEFINED, END)
     both = merged(empty, empty)

@@ -29,14 +29,17 @@ def read_head(file: IO[bytes], start: int, end: int) -> ChunkHead:
     return head
 
 
-def read_chunk(file: IO[bytes], start: int, end: int) -> tuple[bytes, Walk]:
-    """The records in a chunk, and where each is. Damaged if they cannot be read to the last."""
+def read_chunk(file: IO[bytes], start: int, end: int, *, check: bool = True) -> tuple[bytes, Walk]:
+    """The records in a chunk, and where each is. Damaged if they cannot be read to the last.
+
+    check: look at the CRC.
+    """
     head = read_head(file, start, end)
     check_size(head)
     if head.packed_size > LIMIT_BYTES:
         raise Damaged(f"is {head.packed_size} bytes long")
     file.seek(start + head.start)
-    content = unpack(head, file.read(head.packed_size))
+    content = unpack(head, file.read(head.packed_size), check=check)
     found = walk(content)
     if found.end != len(content):
         raise Damaged("its records do not fill it")

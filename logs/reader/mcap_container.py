@@ -90,7 +90,8 @@ class McapContainer:
         with self._open() as file:
 
             def open_block(block: Block, from_ns: int) -> Iterator[Unpacked]:
-                return self._read(file, block, Wanted(table, from_ns, last_ns))
+                again = from_ns > first_ns
+                return self._read(file, block, Wanted(table, from_ns, last_ns), again)
 
             for batch in in_time_order(blocks, open_block, first_ns):
                 yield from batch
@@ -112,8 +113,8 @@ class McapContainer:
         except OSError as error:
             raise FieldlocError(f"{self._path}: cannot be read: {error.strerror or error}") from None
 
-    def _read(self, file: IO[bytes], block: Block, wanted: Wanted) -> Iterator[Unpacked]:
-        """A block's messages that are wanted."""
+    def _read(self, file: IO[bytes], block: Block, wanted: Wanted, again: bool) -> Iterator[Unpacked]:
+        """A block's messages that are wanted. again: its CRCs were looked at before."""
         if not block.chunks:
             file.seek(block.start)
             buffer = file.read(block.end - block.start)
@@ -123,10 +124,10 @@ class McapContainer:
             buffer, found = read_cut_chunk(file, block.start, self._size)
             yield select(buffer, np.array(found.messages, np.int64), wanted, block.start, block.start)
         elif block.chunks == 1:
-            yield from self._chunk(file, block, block.start, block.end, wanted)
+            yield from self._chunk(file, block, (block.start, block.end), wanted, again)
         else:
-            for start, end in self._chunks(file, block):
-                yield from self._chunk(file, block, start, end, wanted)
+            for place in self._chunks(file, block):
+                yield from self._chunk(file, block, place, wanted, again)
 
     def _chunks(self, file: IO[bytes], block: Block) -> Iterator[tuple[int, int]]:
         """Where the chunks of a block of several are."""
@@ -143,11 +144,14 @@ class McapContainer:
                     self._contents.losses.records.add(at)
                 at = resync(file, at + 1, block.end)
 
-    def _chunk(self, file: IO[bytes], block: Block, start: int, end: int, wanted: Wanted) -> Iterator[Unpacked]:
+    def _chunk(
+        self, file: IO[bytes], block: Block, place: tuple[int, int], wanted: Wanted, again: bool
+    ) -> Iterator[Unpacked]:
+        start, end = place
         if start in self._contents.losses.chunks:
             return
         try:
-            content, found = read_chunk(file, start, end)
+            content, found = read_chunk(file, start, end, check=not again)
         except Damaged as error:
             lost = lost_chunk(file, start, end, self._size, str(error))
             if block.chunks == 1:
