@@ -248,6 +248,8 @@ def test_a_kept_record_keeps_no_log_in_memory():
         (Compass, "sigma_rad", 0),
         (Odometry, "covariance", [[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
         (Odometry, "covariance", [[1.0, 0.0], [0.0, 1.0]]),
+        (Odometry, "covariance", [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
+        (Odometry, "covariance", [[1.0, 0.0, 0.0, 0.0], [1.0, 0.0], [0.0, 0.0, 1.0]]),
         (Estimate, "covariance", None),
         (LandmarkScan, "landmarks.1.covariance", [[1.0, 1.0], [1.0, 1.0]]),
         (LandmarkScan, "landmarks.0.range_m", 0.0),

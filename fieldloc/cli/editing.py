@@ -2,14 +2,17 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fieldloc.cli.commands import Commands, names
 from fieldloc.cli.reading import add_part_options, part
 from fieldloc.cli.terminal import bar, say, warn
 from fieldloc.errors import FieldlocError
-from logs.edit import Summary
 from logs.output import output_file
 from logs.reader.container import open_container
+
+if TYPE_CHECKING:
+    from logs.edit import Summary
 
 
 def add_commands(commands: Commands) -> None:
@@ -72,7 +75,7 @@ def _repair(options: argparse.Namespace) -> None:
         say(options, f"{options.log}: nothing was broken")
 
 
-def _tell(options: argparse.Namespace, done: Summary) -> None:
+def _tell(options: argparse.Namespace, done: "Summary") -> None:
     warn(done.lost)
     files = f" and {done.attachments} files" if done.attachments else ""
     lasting = f", {(done.span_ns[1] - done.span_ns[0]) * 1e-9:.1f} s" if done.span_ns else ""

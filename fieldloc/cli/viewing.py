@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fieldloc.cli.commands import RUNS, Commands, positive, seconds_from_start
 from fieldloc.cli.localize import ONLINE, add_estimation_options, settings
@@ -10,7 +11,9 @@ from fieldloc.cli.terminal import bar, say, warn, warning_of
 from fieldloc.errors import FieldlocError
 from logs.progress import Progress
 from logs.reader import LogFile
-from logs.results import LogResult
+
+if TYPE_CHECKING:
+    from logs.results import LogResult
 
 _SEGMENTS = 40_000  # of what was seen, in a page: some megabytes at most
 
@@ -97,7 +100,7 @@ def _page(options: argparse.Namespace) -> None:
         say(options, "no browser here: open it in one")
 
 
-def _estimated(options: argparse.Namespace, logs: list[LogFile], progress: Progress) -> LogResult:
+def _estimated(options: argparse.Namespace, logs: list[LogFile], progress: Progress) -> "LogResult":
     from estimators.registry import ALL
     from logs.comparison import compare
 
