@@ -71,6 +71,7 @@ def test_the_scenarios_have_names(call: Call) -> None:
         ("--duration-s 0", "argument --duration-s: '0' is not a number above 0"),
         ("--set odometry.colour=1", "--set odometry.colour=1: odometry.colour: unknown key"),
         ("--set field='moon'", "moon"),
+        ("--images", "--images: there is no renderer yet"),
     ],
 )
 def test_a_game_that_cannot_be_is_one_line(call: Call, here: Path, typed: str, named: str) -> None:

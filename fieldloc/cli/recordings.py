@@ -8,6 +8,7 @@ from pathlib import Path
 from fieldloc.cli.commands import Commands, Parser, positive
 from fieldloc.cli.reading import add_meaning_options, add_part_options, open_log
 from fieldloc.cli.terminal import bar, say, warn
+from fieldloc.errors import FieldlocError
 
 
 def add_commands(commands: Commands) -> None:
@@ -33,6 +34,7 @@ def add_commands(commands: Commands) -> None:
     sub.add_argument(
         "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", help="one setting of the scenario"
     )
+    sub.add_argument("--images", action="store_true", help="pictures too; not in this version")
     sub.add_argument("--list", action="store_true", help="the scenarios that come with fieldloc, and no game")
 
     sub = commands.add("info", _info, "What is in a log, and what fieldloc makes of it", "info woods.mcap")
@@ -70,6 +72,8 @@ def _simulate(options: argparse.Namespace) -> None:
     if options.list:
         print("\n".join(SCENARIOS))
         return
+    if options.images:
+        raise FieldlocError("--images: there is no renderer yet; without it the log holds what a detector would find")
     scenario = with_settings(load_scenario(options.scenario), options.set)
     out = output_file(options.output or Path(f"{Path(options.scenario).stem}-{options.seed}.mcap"))
     with bar(options, "simulating") as progress:
