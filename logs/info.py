@@ -4,12 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
 from logs.foreign.settings import LogMapping
 from logs.foreign.wires import own_schema
+from logs.pace import Pace
 from logs.reader import LogFile
 from logs.source import Source
 
@@ -63,33 +62,26 @@ def summary_of(log: LogFile) -> LogSummary:
     sources = log.sources
     problems = {source.topic: problem for source, _ in sources if (problem := log.problem(source))}
     own = {s.topic for s, count in sources if count and own_schema(s) and log.plays(s) and s.topic not in problems}
-    decoded: dict[str, list[int]] = {topic: [] for topic in own}
-    logged: dict[int, list[int]] = {}  # by the source's identity: two may say the same of themselves but for a detail
+    decoded = {topic: Pace() for topic in own}
+    logged: dict[int, Pace] = {}  # by the source's identity: two may say the same of themselves but for a detail
     others = [source for source, count in sources if count and not (own_schema(source) and source.topic in own)]
     for source, time_ns in log.log_times(others) if others else ():
-        logged.setdefault(id(source), []).append(time_ns)
+        logged.setdefault(id(source), Pace()).add(time_ns)
     for message in log.messages(own) if own else ():
         record = message.record
         stamp_ns = message.log_time_ns if isinstance(record, (Camera, FieldMap)) else record.stamp_ns
-        decoded[message.topic].append(stamp_ns)
+        decoded[message.topic].add(stamp_ns)
     rows = []
     for source, count in sources:
-        stamps = (
-            decoded.get(source.topic, []) if own_schema(source) and log.plays(source) else logged.get(id(source), [])
-        )
-        rows.append(_row(log, source, count, stamps))
+        pace = decoded.get(source.topic) if own_schema(source) and log.plays(source) else logged.get(id(source))
+        rows.append(_row(log, source, count, pace))
     start_ns, end_ns = log.span_ns or (None, None)
     warnings = (*log.warnings, *(f"{log.path}: {problem}" for problem in problems.values()))
     return LogSummary(log.path, tuple(rows), start_ns, end_ns, log.metadata, warnings)
 
 
-def _row(log: LogFile, source: Source, count: int, stamps: list[int]) -> TopicRow:
+def _row(log: LogFile, source: Source, count: int, pace: Pace | None) -> TopicRow:
     name = source.topic, source.schema_name or source.message_encoding, ", ".join(log.plays(source)) or None
     candidate = None if name[2] else log.candidate(source)
-    if not stamps:
-        return TopicRow(*name, count, None, None, None, None, candidate)
-    ordered = np.sort(np.array(stamps, dtype=np.uint64))
-    first, last = int(ordered[0]), int(ordered[-1])
-    rate = (len(ordered) - 1) / ((last - first) / 1e9) if last > first else None
-    gap = float(np.diff(ordered).max()) / 1e9 if len(ordered) > 1 else None
-    return TopicRow(*name, count, first, last, rate, gap, candidate)
+    first_ns, last_ns, rate_hz, longest_gap_s = (pace and pace.measured()) or (None, None, None, None)
+    return TopicRow(*name, count, first_ns, last_ns, rate_hz, longest_gap_s, candidate)

@@ -1,10 +1,13 @@
 """The summary of a log for the terminal."""
 
+from textwrap import shorten
+
 from logs.info import LogSummary, TopicRow
 from logs.schema import seconds
 from logs.table import Cell, Table
 from logs.table_text import format_columns
 
+_WIDE = 100  # characters of what a metadata record says: some hold whole configurations
 _TITLES = ("topic", "type", "role", "messages", "rate / Hz", "longest gap / s")
 
 
@@ -13,7 +16,11 @@ def format_summary(summary: LogSummary) -> str:
     span = "no messages"
     if summary.start_ns is not None and summary.end_ns is not None:
         span = f"{summary.duration_s:.1f} s, from {seconds(summary.start_ns)} to {seconds(summary.end_ns)}"
-    said = [f"{key}: {value}" for record in summary.metadata.values() for key, value in record.items()]
+    said = [
+        f"{key}: {shorten(value, _WIDE, placeholder=' ...')}"
+        for record in summary.metadata.values()
+        for key, value in record.items()
+    ]
     table = Table(tuple(("", title) for title in _TITLES), tuple(map(_cells, summary.rows)))
     return "\n".join([f"{summary.path}: {span}", *said, format_columns(table)])
 

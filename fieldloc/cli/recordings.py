@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from fieldloc.cli.commands import Commands, Parser, positive
-from fieldloc.cli.reading import add_meaning_options, add_part_options, open_log
+from fieldloc.cli.reading import add_meaning_options, open_log
 from fieldloc.cli.terminal import bar, say, warn
 from fieldloc.errors import FieldlocError
 
@@ -40,7 +40,6 @@ def add_commands(commands: Commands) -> None:
     sub = commands.add("info", _info, "What is in a log, and what fieldloc makes of it", "info woods.mcap")
     sub.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="several are read as one")
     sub.add_argument("--json", action="store_true", help="all of it, for programs")
-    add_part_options(sub)
     add_meaning_options(sub)
 
 
