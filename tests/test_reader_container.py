@@ -207,6 +207,16 @@ def test_messages_that_no_channel_is_defined_for_are_counted_and_left_out(tmp_pa
     assert container.damage == ("2 messages left out: no channel that can be read is theirs",)
 
 
+def test_a_disk_that_cannot_be_read_is_one_line(tmp_path, monkeypatch):
+    def fail(*arguments):
+        raise OSError(5, "Input/output error")
+
+    container = McapContainer(put(tmp_path / "log.mcap", DEFINED, message(1), END))
+    monkeypatch.setattr(mcap_container, "walk", fail)
+    with pytest.raises(FieldlocError, match=r"log.mcap: cannot be read: Input/output error"):
+        list(container.messages([1]))
+
+
 def test_nothing_is_kept_open_between_calls(tmp_path):
     path = put(tmp_path / "log.mcap", DEFINED, chunk_of(range(50)), END)
     container = McapContainer(path)

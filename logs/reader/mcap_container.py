@@ -1,5 +1,6 @@
 """An MCAP file as a container: its channels, and its raw messages in the order of their log time."""
 
+import contextlib
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -107,9 +108,11 @@ class McapContainer:
                     continue
                 yield attachment
 
-    def _open(self) -> IO[bytes]:
+    @contextlib.contextmanager
+    def _open(self) -> Iterator[IO[bytes]]:
         try:
-            return self._path.open("rb")
+            with self._path.open("rb") as file:
+                yield file
         except OSError as error:
             raise FieldlocError(f"{self._path}: cannot be read: {error.strerror or error}") from None
 

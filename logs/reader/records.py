@@ -168,6 +168,13 @@ def message_index_count(record: bytes) -> int:
     return entries // 16
 
 
+def is_message_index(buffer: bytes, place: int) -> bool:
+    """Whether the record that begins there is a message index to the last byte, whatever its opcode says."""
+    fields = Fields(buffer[place : place + HEAD.size + 6], 1)
+    length, _, entries = fields.number(8), fields.number(2), fields.number(4)
+    return entries % 16 == 0 and entries + 6 == length
+
+
 def read_spans(file: IO[bytes], start: int, end: int) -> Iterator[Span]:
     """The records from one place in the file to another. Damaged, at the first that is none, if they do not fill it."""
     while start < end:

@@ -55,6 +55,8 @@ def convinces(file: IO[bytes], start: int, size: int) -> bool:
     for met in range(_CONVINCING_RECORDS):
         if start == size:
             return met > 0
+        if start > size:
+            return False
         file.seek(start)
         record = file.read(HEAD.size + 6)
         if len(record) < HEAD.size:

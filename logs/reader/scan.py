@@ -17,6 +17,7 @@ from logs.reader.records import (
     Fields,
     Op,
     Span,
+    is_message_index,
     message_index_count,
     parse_channel,
     parse_chunk_head,
@@ -30,6 +31,9 @@ from logs.reader.unpacked import Stop, Walk, headers, walk
 _PIECE_BYTES = 1 << 18
 _OF_DATA = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.MESSAGE_INDEX, Op.METADATA})
 """What stands in a run before the data's end; but for the header, all else is of the summary."""
+
+_INDEXED = frozenset({Op.CHUNK, Op.MESSAGE_INDEX})
+"""What message indexes follow."""
 
 
 class Scan:
@@ -206,6 +210,7 @@ class Scan:
         return self._piece_at + found.end
 
     def _take(self, buffer: bytes, found: Walk, at: int, chunk: Block | None = None) -> None:
+        before = self._previous
         for span in found.others:
             try:
                 self._take_other(span.opcode, buffer[span.start : span.end], at + span.start, chunk is None)
@@ -215,19 +220,33 @@ class Scan:
                     self._losses.index = True
                 else:
                     self._losses.records.add(at + span.start)
-        if not found.messages:
+        messages = found.messages if chunk else self._without_indexes(found, buffer, at, before)
+        if not messages:
             return
         self._data_ended = False  # that was none
-        head = headers(buffer, np.array(found.messages, np.int64))
+        head = headers(buffer, np.array(messages, np.int64))
         counts = np.bincount(head["channel"])
         self._counts[: len(counts)] += counts
         channels = self._blocks.shared(frozenset(np.flatnonzero(counts).tolist()))
         first, last = int(head["log_time"].min()), int(head["log_time"].max())
         if chunk is None:
-            self._previous = Span(Op.MESSAGE, at + found.messages[-1], at + found.end)
-            self._blocks.add(Block(at + found.messages[0], at + found.end, first, last, 0, channels))
+            self._previous = Span(Op.MESSAGE, at + messages[-1], at + found.end)
+            self._blocks.add(Block(at + messages[0], at + found.end, first, last, 0, channels))
         else:
             self._blocks.add(Block(chunk.start, chunk.end, first, last, 1, channels, chunk.cut))
+
+    def _without_indexes(self, found: Walk, buffer: bytes, at: int, before: Span) -> list[int]:
+        """The messages of a run but for those that are message indexes with a damaged opcode: one bit is enough."""
+        indexed = [span for span in found.others if span.opcode == Op.MESSAGE_INDEX]
+        ends = {span.end for span in indexed} | ({before.end - at} if before.opcode in _INDEXED else set())
+        starts = set(found.messages) if ends else set()
+        out = set()
+        for place in ends & starts:
+            while place in starts and is_message_index(buffer, place):
+                self._losses.records.add(at + place)
+                out.add(place)
+                place += HEAD.size + int.from_bytes(buffer[place + 1 : place + 9], "little")
+        return [place for place in found.messages if place not in out] if out else found.messages
 
     def _take_other(self, opcode: int, record: bytes, at: int, loose: bool) -> None:
         """A record that is no message. Damaged if it is not what it says, or has no business here."""
@@ -246,9 +265,9 @@ class Scan:
             self._metadata[name] = dict(pairs)
         elif opcode == Op.MESSAGE_INDEX:
             count = message_index_count(record[: HEAD.size + 6])
-            if previous.end != at or (previous.opcode not in (Op.CHUNK, Op.MESSAGE_INDEX) and not count):
+            if previous.end != at or (previous.opcode not in _INDEXED and not count):
                 raise Damaged("a message index that does not follow a chunk")
-            if previous.opcode not in (Op.CHUNK, Op.MESSAGE_INDEX):
+            if previous.opcode not in _INDEXED:
                 self._chunk_in_disguise(previous)
         elif opcode < PRIVATE and not self._data_ended and opcode not in _OF_DATA and at != len(MAGIC):
             raise Damaged("a record of the summary among the data")
