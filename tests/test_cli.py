@@ -14,6 +14,7 @@ from pathlib import Path
 import mcap.writer
 import numpy as np
 import pytest
+from children import interruptible
 from program import Call, Said
 from real_logs import nearer_than, relabelled, sample_messages, without, write
 
@@ -855,7 +856,11 @@ def test_an_interrupt_at_any_moment_leaves_no_file(
     if name == "page":
         monkeypatch.setattr("logs.report.page", interrupted)
     before = signal.getsignal(signal.SIGTERM)
-    said = call(*filled(pattern, made))
+    hears = signal.signal(signal.SIGINT, signal.default_int_handler)  # not so when the tests run in the background
+    try:
+        said = call(*filled(pattern, made))
+    finally:
+        signal.signal(signal.SIGINT, hears)
     assert said == Said(code, "", "fieldloc: interrupted; nothing unfinished was left behind\n")
     assert listing(here) == []
     assert signal.getsignal(signal.SIGTERM) is before
@@ -877,6 +882,7 @@ def start(arguments: Sequence[object], here: Path, **options: object) -> "subpro
         *map(str, arguments),
     ]
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment(), **options}
+    streams["preexec_fn"] = interruptible
     return subprocess.Popen(command, cwd=here, text=True, **streams)  # type: ignore[call-overload,no-any-return]
 
 

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from children import interruptible
 from program import Call
 from real_logs import sample_messages, write
 
@@ -246,13 +247,17 @@ def test_a_log_becomes_a_page_with_what_an_estimator_makes_of_it(call: Call, log
 
 def test_a_log_is_served_until_it_is_interrupted(log: Path, here: Path) -> None:
     command = [sys.executable, "-m", "fieldloc", "view", str(log), "--estimator", "ekf", "--port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    line = process.stdout.readline()
-    assert line.startswith("serving ws://127.0.0.1:")
-    time.sleep(0.2)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(command, text=True, preexec_fn=interruptible, **pipes)
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("serving ws://127.0.0.1:")
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
     assert (process.returncode, err) == (0, "")
     assert out.splitlines()[-1] == "closed"
 

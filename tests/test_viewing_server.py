@@ -16,6 +16,7 @@ from pathlib import Path
 import foxglove.messages
 import numpy as np
 import pytest
+from children import interruptible
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from viewing_client import Client
 
@@ -463,17 +464,21 @@ def test_ctrl_c_ends_it_cleanly_and_nothing_is_printed_when_a_viewer_leaves(log:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     pipe = subprocess.PIPE
     with (
-        subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment) as program,
+        subprocess.Popen(
+            command, stdout=pipe, stderr=pipe, text=True, env=environment, preexec_fn=interruptible
+        ) as program,
         ExitStack() as later,
+        ExitStack() as viewing,
     ):
+        later.callback(program.kill)
         assert program.stdout is not None
         assert program.stderr is not None
         port = int(program.stdout.readline().rsplit(":", 1)[1])
         if viewer != "none":
-            client = later.enter_context(Client(port))
+            client = viewing.enter_context(Client(port))
             client.receive(lambda c: c.messages)
         if viewer == "left":
-            later.close()
+            viewing.close()
             time.sleep(0.3)
         program.send_signal(signal.SIGINT)
         assert program.wait(10) == 0
