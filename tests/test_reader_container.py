@@ -8,16 +8,19 @@ import tarfile
 
 import mcap.writer
 import mcap_files
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap_files import DEFINED, END, SHARED, chunk, chunk_of, message, metadata, put, schema, written
 
 from fieldloc.errors import FieldlocError
+from fieldloc.measurements import Odometry
 from logs.reader import mcap_container
 from logs.reader.chunks import read_chunk
 from logs.reader.container import open_container
 from logs.reader.mcap_container import McapContainer
+from logs.writer import LogWriter
 
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"{SHARED} is missing: other people's MCAP files")
 NONE = mcap.writer.IndexType.NONE
@@ -224,3 +227,16 @@ def test_nothing_is_kept_open_between_calls(tmp_path):
     path.unlink()
     with pytest.raises(FieldlocError, match="cannot be read: No such file"):
         list(container.messages([1]))
+
+
+def test_a_folder_without_rosbag2_s_index_is_a_bag_if_it_holds_one_recording(tmp_path):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for part in (0, 1):
+        with LogWriter(folder / f"match_{part}.mcap") as log:
+            log.write("/odometry", Odometry(10**9 * (part + 1), np.zeros(3)))
+    assert sum(open_container(folder).counts.values()) == 2
+    with LogWriter(folder / "other_0.mcap") as log:
+        log.write("/odometry", Odometry(10**9, np.zeros(3)))
+    with pytest.raises(FieldlocError, match="is a directory"):
+        open_container(folder)
