@@ -9,7 +9,7 @@ a change to one changes no other.
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import repeat
+from itertools import accumulate, pairwise, repeat
 from typing import TypeVar
 
 import msgspec
@@ -85,6 +85,19 @@ def block(numbers: Iterable[float], *shape: int) -> FloatArray:
 def apart(stack: FloatArray) -> list[FloatArray]:
     """The rows of a stack, none of which keeps more than a few others in memory. One by one is four times the price."""
     return [row for i in range(0, len(stack), _TOGETHER) for row in stack[i : i + _TOGETHER].copy()]
+
+
+def pieces(stack: FloatArray, sizes: Sequence[int]) -> list[FloatArray]:
+    """The stack cut into pieces of these many rows each; they are kept in memory as those of `apart` are."""
+    out: list[FloatArray] = []
+    start = 0
+    for i in range(0, len(sizes), _TOGETHER):
+        few = sizes[i : i + _TOGETHER]
+        ends = [*accumulate(few, initial=0)]
+        kept = stack[start : start + ends[-1]].copy()
+        out += [kept[a:b] for a, b in pairwise(ends)]
+        start += ends[-1]
+    return out
 
 
 def covariances(texts: Sequence[msgspec.Raw], size: int) -> list[FloatArray]:

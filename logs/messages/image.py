@@ -6,6 +6,7 @@ from itertools import chain, islice
 from msgspec import Raw
 
 from fieldloc.measurements import CameraMount, ImageFeatures, LineObservation, PostObservation
+from fieldloc.pose import FloatArray
 from logs.messages import batch
 from logs.messages.fields import (
     STAMP,
@@ -162,19 +163,26 @@ _read_images = batch.reader(_ImageMessage)
 
 def image_features_batch(datas: Sequence[bytes]) -> list[ImageFeatures]:
     read = _read_images(datas)
-    mounts = _mounts([m.mount for m in read])
-    posts = iter(_posts([post for m in read for post in m.posts]))
-    lines = iter(_lines([line for m in read for line in m.lines]))
+    mounts = [m.mount for m in read]
+    seen_posts = [post for m in read for post in m.posts]
+    seen_lines = [line for m in read for line in m.lines]
+    stated = [m.covariance for m in mounts]
+    stated += [m.covariance_px2 for m in seen_posts]
+    stated += [m.covariance_px2 for m in seen_lines]
+    matrices = iter(batch.covariances(stated, 4))  # all at once: a check's price is mostly that of asking
+    mount_records = _mounts(mounts, [*islice(matrices, len(mounts))])
+    posts = iter(_posts(seen_posts, [*islice(matrices, len(seen_posts))]))
+    lines = iter(_lines(seen_lines, [*matrices]))
     return batch.records(
         ImageFeatures,
         batch.stamps([m.stamp_ns for m in read]),
-        mounts,
+        mount_records,
         [tuple(islice(posts, len(m.posts))) for m in read],
         [tuple(islice(lines, len(m.lines))) for m in read],
     )
 
 
-def _mounts(read: Sequence[_MountMessage]) -> list[CameraMount]:
+def _mounts(read: Sequence[_MountMessage], covariances: list[FloatArray]) -> list[CameraMount]:
     batch.positive([m.height_m for m in read])
     return batch.records(
         CameraMount,
@@ -182,15 +190,14 @@ def _mounts(read: Sequence[_MountMessage]) -> list[CameraMount]:
         [m.pan_rad for m in read],
         [m.tilt_rad for m in read],
         [m.roll_rad for m in read],
-        batch.covariances([m.covariance for m in read], 4),
+        covariances,
         [m.x_m for m in read],
         [m.y_m for m in read],
     )
 
 
-def _posts(read: Sequence[_PostMessage]) -> list[PostObservation]:
+def _posts(read: Sequence[_PostMessage], covariances: list[FloatArray]) -> list[PostObservation]:
     edges = batch.arrays(chain.from_iterable(chain.from_iterable([m.edges_px for m in read])), 2, 2)
-    covariances = batch.covariances([m.covariance_px2 for m in read], 4)
     feet = iter(batch.arrays(chain.from_iterable([m.foot_px for m in read if m.foot_px is not None]), 2))
     foot_covariances = batch.covariances_or_none([m.foot_covariance_px2 for m in read], 2)
     if any((m.foot_px is None) != (matrix is None) for m, matrix in zip(read, foot_covariances, strict=True)):
@@ -205,6 +212,6 @@ def _posts(read: Sequence[_PostMessage]) -> list[PostObservation]:
     )
 
 
-def _lines(read: Sequence[_LineMessage]) -> list[LineObservation]:
+def _lines(read: Sequence[_LineMessage], covariances: list[FloatArray]) -> list[LineObservation]:
     ends = batch.arrays(chain.from_iterable(chain.from_iterable([m.ends_px for m in read])), 2, 2)
-    return batch.records(LineObservation, ends, batch.covariances([m.covariance_px2 for m in read], 4))
+    return batch.records(LineObservation, ends, covariances)

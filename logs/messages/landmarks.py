@@ -1,7 +1,6 @@
 """Range-bearing scans and the field map as JSON."""
 
 from collections.abc import Sequence
-from itertools import accumulate, pairwise
 
 import numpy as np
 from msgspec import Raw
@@ -163,20 +162,12 @@ def landmark_scan_batch(datas: Sequence[bytes]) -> list[LandmarkScan]:
     batch.positive([one.range_m for one in seen])
     range_bearing = batch.block([x for one in seen for x in (one.range_m, one.bearing_rad)], 2)
     covariances = batch.definite_covariances([one.covariance for one in seen], 2)
-    ends = pairwise(accumulate([len(m.landmarks) for m in read], initial=0))
-    return [
-        LandmarkScan(
-            stamp_ns,
-            tuple([one.label for one in m.landmarks]),
-            range_bearing[start:end].copy(),
-            covariances[start:end].copy(),
-            pose,
-        )
-        for m, stamp_ns, pose, (start, end) in zip(
-            read,
-            batch.stamps([m.stamp_ns for m in read]),
-            poses([m.robot_from_sensor for m in read]),
-            ends,
-            strict=True,
-        )
-    ]
+    sizes = [len(m.landmarks) for m in read]
+    return batch.records(
+        LandmarkScan,
+        batch.stamps([m.stamp_ns for m in read]),
+        [tuple([one.label for one in m.landmarks]) for m in read],
+        batch.pieces(range_bearing, sizes),
+        batch.pieces(covariances, sizes),
+        poses([m.robot_from_sensor for m in read]),
+    )

@@ -1,7 +1,8 @@
 """A log: any recording, fieldloc's own or someone else's, whose messages are read as fieldloc's records."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import islice
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import islice, repeat
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, get_args
@@ -19,9 +20,11 @@ from logs.foreign.wires import known_type, own_schema
 from logs.reader.container import open_container
 from logs.reader.merged import Merged
 from logs.schema import BY_KIND, BY_ROLE, MESSAGE_ENCODING, TOPICS, BadMessage, R, Record, Schema, decode_many
-from logs.source import Container, RawMessage, Source
+from logs.source import Container, Source
 
-_FIRST_WINDOW, _WINDOW = 4, 512  # messages decoded together: few at first, for who wants only one
+_FIRST_WINDOW, _WINDOW = 4, 2048  # messages decoded together: few at first, for who wants only one
+_WINDOW_BYTES = 1 << 22  # and no more than that many after a window of so many
+_GOOD = {*BY_KIND}
 _LATCHED = (FieldMap, Camera)  # in force from their log time on, so also before the part of the log that is read
 
 
@@ -34,6 +37,9 @@ class Message(NamedTuple):
     topic: str
     log_time_ns: int
     record: Record
+
+
+_as_message: Callable[[Iterable[object]], Message] = partial(tuple.__new__, Message)  # at a third of the price
 
 
 class LogFile:
@@ -266,46 +272,30 @@ class LogFile:
     ) -> Iterator[Message]:
         for topic, _ in own.values():
             self._notes.begin(topic)
+        topics = {number: topic for number, (topic, _) in own.items()}
         raws = self.container.messages({*own, *translation.channels}, *span)
         last_ns = 0
-        records: list[Record | BadMessage | None]
         size = _FIRST_WINDOW
         while window := [*islice(raws, size)]:
-            size = min(2 * size, _WINDOW)
-            last_ns = window[-1].log_time_ns
-            if len(own) == 1 and not translation.channels:
-                ((topic, schema),) = own.values()
-                records = [*decode_many(schema, topic, [raw.data for raw in window])]
-            else:
-                records = self._decode_by_channel(own, window)
+            channels, times_ns, _, _, datas = zip(*window, strict=True)
+            mean_bytes = 1 + sum(map(len, datas)) // len(datas)
+            size = min(2 * size, _WINDOW, 1 + _WINDOW_BYTES // mean_bytes)
+            last_ns = times_ns[-1]
+            records = _decode_by_channel(own, channels, datas)
+            if {*map(type, records)} <= _GOOD:
+                yield from map(_as_message, zip(map(topics.__getitem__, channels), times_ns, records, strict=True))
+                continue
             for raw, record in zip(window, records, strict=True):
                 if record is None:
                     topic = self._interpreter.topic(raw.channel)
                     for one in translation.take(raw):
                         yield Message(topic, raw.log_time_ns, one)
                 elif isinstance(record, BadMessage):
-                    self._notes.leave_out(own[raw.channel][0], str(record))
+                    self._notes.leave_out(topics[raw.channel], str(record))
                 else:
-                    yield Message(own[raw.channel][0], raw.log_time_ns, record)
+                    yield Message(topics[raw.channel], raw.log_time_ns, record)
         for one in translation.finish():
             yield Message(self.roles[BY_KIND[type(one)].role], last_ns, one)
-
-    def _decode_by_channel(
-        self, own: Mapping[int, tuple[str, Schema]], window: Sequence[RawMessage]
-    ) -> list[Record | BadMessage | None]:
-        """None for the messages of others."""
-        out: list[Record | BadMessage | None] = [None] * len(window)
-        places: dict[int, list[int]] = {}
-        for place, raw in enumerate(window):
-            places.setdefault(raw.channel, []).append(place)
-        for number, where in places.items():
-            if number in own:
-                topic, schema = own[number]
-                for place, record in zip(
-                    where, decode_many(schema, topic, [window[i].data for i in where]), strict=True
-                ):
-                    out[place] = record
-        return out
 
     def _nothing(self, topics: Collection[str] | None) -> str:
         if not sum(self.container.counts.values()):
@@ -320,6 +310,20 @@ def read_log(
 ) -> Iterator[Message]:
     """The messages of a log; `LogFile` says more about it, warnings too."""
     return LogFile(path, roles).messages(topics)
+
+
+def _decode_by_channel(
+    own: Mapping[int, tuple[str, Schema]], channels: Sequence[int], datas: Sequence[bytes]
+) -> list[Record | BadMessage | None]:
+    """None for the messages of others."""
+    of_channel: dict[int, list[bytes]] = {channel: [] for channel in {*channels}}
+    for channel, data in zip(channels, datas, strict=True):
+        of_channel[channel].append(data)
+    read: dict[int, Iterator[Record | BadMessage | None]] = {
+        channel: iter(decode_many(own[channel][1], own[channel][0], those)) if channel in own else repeat(None)
+        for channel, those in of_channel.items()
+    }
+    return [*map(next, map(read.__getitem__, channels))]
 
 
 def _with_topics(topics: Mapping[str, str]) -> LogMapping:
