@@ -108,7 +108,7 @@ def load_camera(path: str | Path) -> Camera:
         raise FieldlocError(f"{path}: cannot be read as a camera file: {error}") from None
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # ValueError: bad TOML, and integers of too many digits
         raise FieldlocError(f"{path}: not valid TOML: {error}") from None
     names = [field.name for field in fields(Camera)]
     if unknown := sorted(set(table) - set(names)):

@@ -23,10 +23,7 @@ class TomlTable:
     @classmethod
     def parse(cls, text: str, source: str) -> "TomlTable":
         """The file's top table; `source` is how messages name the file."""
-        try:
-            return cls(tomllib.loads(text), source)
-        except tomllib.TOMLDecodeError as error:
-            raise FieldlocError(f"{source}: not valid TOML: {error}") from None
+        return cls(read_toml(text, source), source)
 
     def fail(self, key: str, problem: str) -> Never:
         """Raise about the key."""
@@ -53,6 +50,33 @@ class TomlTable:
         if not _is_number(value) or value < 0.0 or (positive and value == 0.0):
             self.fail(key, f"needs a number {need}, got {value!r}")
         return float(value)
+
+    def signed(self, key: str, default: float | None = None) -> float:
+        """A finite number; `default` where the key is missing, an error without one."""
+        if default is not None and not self.has(key):
+            return default
+        value = self._get(key)
+        if not _is_number(value):
+            self.fail(key, f"needs a number, got {value!r}")
+        return float(value)
+
+    def flag(self, key: str, default: bool) -> bool:
+        """true or false."""
+        if not self.has(key):
+            return default
+        value = self._get(key)
+        if not isinstance(value, bool):
+            self.fail(key, f"needs true or false, got {value!r}")
+        return value
+
+    def strings(self, key: str, what: str) -> tuple[str, ...]:
+        """A string that is not empty, or a list of such; `what` tells the user."""
+        value = self._get(key)
+        items = value if isinstance(value, list) else [value]
+        strings = tuple(item for item in items if isinstance(item, str) and item)
+        if len(strings) < len(items):
+            self.fail(key, f"needs {what}, got {value!r}")
+        return strings
 
     def array(self, key: str, shape: tuple[int, ...], what: str) -> FloatArray:
         """Nested lists of finite numbers as an array; -1 in the shape stands for any length, `what` tells the user."""
@@ -96,6 +120,14 @@ class TomlTable:
         if not self.has(key):
             self.fail(key, "missing")
         return self._values[key]
+
+
+def read_toml(text: str, source: str) -> dict[str, object]:
+    """The file's top table as it is; FieldlocError where there is none."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: bad TOML, and integers of too many digits
+        raise FieldlocError(f"{source}: not valid TOML: {error}") from None
 
 
 def _is_number(value: object) -> TypeGuard[float]:

@@ -29,42 +29,6 @@ from logs.foreign.settings import (
 __all__ = ["LogMapping", "load_mapping", "with_roles"]
 
 
-class _Table(TomlTable):
-    """A table whose numbers may be negative, and which has yes and no."""
-
-    def table(self, key: str) -> "_Table":
-        super().table(key)  # or it is none
-        value = self._get(key)
-        assert isinstance(value, Mapping)
-        return _Table(value, self._source, f"{self._prefix}{key}.")
-
-    def signed(self, key: str, default: float | None = None) -> float:
-        """A finite number; `default` where the key is missing, an error without one."""
-        if default is not None and not self.has(key):
-            return default
-        value = self._get(key)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e12:
-            self.fail(key, f"needs a number, got {value!r}")
-        return float(value)
-
-    def flag(self, key: str, default: bool) -> bool:
-        if not self.has(key):
-            return default
-        value = self._get(key)
-        if not isinstance(value, bool):
-            self.fail(key, f"needs true or false, got {value!r}")
-        return value
-
-    def topics(self, key: str) -> tuple[str, ...]:
-        """One in quotes, or a list of them."""
-        value = self._get(key)
-        topics = value if isinstance(value, list) else [value]
-        names = tuple(topic for topic in topics if isinstance(topic, str) and topic)
-        if len(names) < len(topics):
-            self.fail(key, f"needs a topic in quotes or a list of topics, got {value!r}")
-        return names
-
-
 def load_mapping(path: str | Path) -> LogMapping:
     """The defaults with what the file says; FieldlocError names the file and the key for every mistake."""
     path = Path(path)
@@ -74,8 +38,7 @@ def load_mapping(path: str | Path) -> LogMapping:
         raise FieldlocError(f"{path}: no such mapping file; give the path of a TOML file") from None
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a path with a zero byte
         raise FieldlocError(f"{path}: cannot be read as a mapping: {error}") from None
-    table = _Table.parse(text, str(path))
-    assert isinstance(table, _Table)
+    table = TomlTable.parse(text, str(path))
     mapping = LogMapping(
         roles=_roles(table),
         frames=_frames(table),
@@ -108,11 +71,11 @@ def with_roles(mapping: LogMapping, settings: Sequence[str]) -> LogMapping:
     return replace(mapping, roles=roles, told=mapping.told | told.keys())
 
 
-def _roles(whole: _Table) -> Mapping[str, tuple[str, ...]]:
+def _roles(whole: TomlTable) -> Mapping[str, tuple[str, ...]]:
     if not whole.has("roles"):
         return NO_ROLES
     table = whole.table("roles")
-    roles = {role: table.topics(role) for role in ROLES if table.has(role)}
+    roles = {role: table.strings(role, "a topic in quotes or a list of topics") for role in ROLES if table.has(role)}
     for role, topics in roles.items():
         if len(topics) > 1 and role not in MANY:
             table.fail(role, f"is played by one topic, got {len(topics)}")
@@ -120,7 +83,7 @@ def _roles(whole: _Table) -> Mapping[str, tuple[str, ...]]:
     return MappingProxyType(roles)
 
 
-def _frames(whole: _Table) -> FrameNames:
+def _frames(whole: TomlTable) -> FrameNames:
     default = FrameNames()
     if not whole.has("frames"):
         return default
@@ -138,7 +101,7 @@ def _frames(whole: _Table) -> FrameNames:
     return frames
 
 
-def _field_from_map(whole: _Table) -> tuple[float, float, float]:
+def _field_from_map(whole: TomlTable) -> tuple[float, float, float]:
     if not whole.has("field_from_map"):
         return (0.0, 0.0, 0.0)
     table = whole.table("field_from_map")
@@ -148,7 +111,7 @@ def _field_from_map(whole: _Table) -> tuple[float, float, float]:
     return (x, y, heading)
 
 
-def _mount(whole: _Table) -> MountSettings:
+def _mount(whole: TomlTable) -> MountSettings:
     default = MountSettings()
     if not whole.has("mount"):
         return default
@@ -177,7 +140,7 @@ def _mount(whole: _Table) -> MountSettings:
     return settings
 
 
-def _detections(whole: _Table) -> DetectionNoise:
+def _detections(whole: TomlTable) -> DetectionNoise:
     default = DetectionNoise()
     if not whole.has("detections"):
         return default
@@ -195,7 +158,7 @@ def _detections(whole: _Table) -> DetectionNoise:
     return noise
 
 
-def _odometry(whole: _Table) -> OdometrySettings:
+def _odometry(whole: TomlTable) -> OdometrySettings:
     default = OdometrySettings()
     if not whole.has("odometry"):
         return default
@@ -209,7 +172,7 @@ def _odometry(whole: _Table) -> OdometrySettings:
     return settings
 
 
-def _compass(whole: _Table) -> CompassSettings:
+def _compass(whole: TomlTable) -> CompassSettings:
     default = CompassSettings()
     if not whole.has("compass"):
         return default
@@ -223,7 +186,7 @@ def _compass(whole: _Table) -> CompassSettings:
     return settings
 
 
-def _initial_pose(whole: _Table) -> InitialPoseSettings:
+def _initial_pose(whole: TomlTable) -> InitialPoseSettings:
     default = InitialPoseSettings()
     if not whole.has("initial_pose"):
         return default

@@ -1,7 +1,6 @@
 """What kind of game to make up: one frozen tree, by name or from a TOML file, stored with every log it makes."""
 
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from dataclasses import field as member  # a scenario has a field of its own
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from fieldloc.errors import FieldlocError
 from fieldloc.field import PRESETS as FIELDS
+from fieldloc.toml_table import read_toml
 from logs.simulate.settings import (
     CompassSettings,
     DeliverySettings,
@@ -88,12 +88,12 @@ def with_settings(scenario: Scenario, settings: Sequence[str]) -> Scenario:
         key, _, value = setting.partition("=")
         if not (key.strip() and value.strip()):
             raise FieldlocError(f"--set {setting}: needs NAME=VALUE, for example odometry.rate_hz=100")
-        scenario = _changed(scenario, _toml(setting, f"--set {setting}"), f"--set {setting}")
+        scenario = _changed(scenario, read_toml(setting, f"--set {setting}"), f"--set {setting}")
     return scenario
 
 
 def _parse(text: str, source: str) -> Scenario:
-    values = dict(_toml(text, source))
+    values = dict(read_toml(text, source))
     base = values.pop("base", None)
     if base is None:
         return _changed(Scenario(), values, source)
@@ -102,16 +102,6 @@ def _parse(text: str, source: str) -> Scenario:
             f"{source}: base: needs the name of another scenario ({', '.join(SCENARIOS)}), got {base!r}"
         )
     return _changed(load_scenario(str(base)), values, source)
-
-
-def _toml(text: str, source: str) -> Mapping[str, object]:
-    try:
-        return tomllib.loads(text)
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # of the parser, of numbers with too many digits, of too many brackets
-        raise FieldlocError(f"{source}: not valid TOML: {error}") from None
 
 
 def _changed(section: Section, values: Mapping[str, object], source: str, prefix: str = "") -> Section:
