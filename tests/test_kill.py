@@ -15,6 +15,7 @@ from pathlib import Path
 import mcap.exceptions
 import numpy as np
 import pytest
+from children import interruptible
 from edit_logs import contents
 from mcap.stream_reader import StreamReader
 
@@ -49,6 +50,7 @@ def start(*arguments):
         stderr=subprocess.DEVNULL,
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        preexec_fn=interruptible,
     )
 
 

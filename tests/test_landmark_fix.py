@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.io import loadmat
 from scipy.optimize import least_squares
@@ -256,6 +256,7 @@ def test_what_does_not_determine_a_pose_gives_none(positions: FloatArray, z: Flo
     st.floats(1e-4, 1.0),
 )
 @settings(deadline=None, max_examples=300)
+@example([(0.0, 2.8e-142, 1.0, 0.0)] * 2 + [(0.0, 2.8e-142, 2.0, 0.0)], 0.5)  # a heading that nothing can tell
 def test_nonsense_never_gives_a_value_that_is_not_finite(rows: list[tuple[float, ...]], sigma: float) -> None:
     table = np.array(rows)
     for fix in landmark_fix(table[:, :2], table[:, 2:], isotropic(len(table), np.array([sigma, sigma]))):

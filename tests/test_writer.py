@@ -11,6 +11,7 @@ import log_records
 import mcap.reader
 import numpy as np
 import pytest
+from children import interruptible
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -135,6 +136,7 @@ def run_until_killed(path, number):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
+        preexec_fn=interruptible,
     )
     try:
         assert child.stdout.readline() == b"running\n"

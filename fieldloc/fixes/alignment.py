@@ -77,6 +77,8 @@ def minimise(state: State, sights: Sequence[Sight]) -> tuple[State, Equations] |
             p[2] * g[0] + p[4] * g[1] + p[5] * g[2],
         )
         decrease = step[0] * g[0] + step[1] * g[1] + step[2] * g[2]
+        if not math.isfinite(step[0] + step[1] + step[2] + decrease):
+            return None
         scale = 1.0
         while True:
             ahead = (state[0] + scale * step[0], state[1] + scale * step[1], state[2] + scale * step[2])
