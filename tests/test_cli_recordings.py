@@ -238,7 +238,7 @@ def test_a_report_takes_the_truth_from_the_log(call: Call, log: Path, here: Path
 
 
 def test_a_log_becomes_a_page_with_what_an_estimator_makes_of_it(call: Call, log: Path, here: Path) -> None:
-    said = call("view", log, "--estimator", "ekf", "-o", "page.html")
+    said = call("view", log, "--estimator", "ekf", "--html", "page.html")
     assert (said.code, said.out.strip()) == (0, "page: page.html")
     page = (here / "page.html").read_text()
     assert "ekf" in page

@@ -15,6 +15,7 @@ from logs.reader import LogFile
 if TYPE_CHECKING:
     from logs.results import LogResult
 
+_OPENED = Path("runs")  # stands for a page that is named after the log
 _SEGMENTS = 40_000  # of what was seen, in a page: some megabytes at most
 
 
@@ -25,9 +26,13 @@ def add_commands(commands: Commands) -> None:
     sub.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="several are read as one; runs in one page")
     sub.add_argument("--estimator", choices=ONLINE, help="what this estimator makes of the log, while it is played")
     add_estimation_options(sub)
-    sub.add_argument("--html", action="store_true", help="write a page that plays in any browser, and open it")
     sub.add_argument(
-        "-o", "--output", type=Path, metavar="FILE.html", help="the page, not opened; default: runs/LOG.html"
+        "--html",
+        nargs="?",
+        type=Path,
+        const=_OPENED,
+        metavar="FILE.html",
+        help="a page that plays in any browser; without FILE it is runs/LOG.html, and opened",
     )
     sub.add_argument("--truth", type=Path, metavar="LOG", help="page: the log with the truth")
     sub.add_argument("--host", default="127.0.0.1", help="server: where to listen; default: %(default)s")
@@ -42,7 +47,7 @@ def add_commands(commands: Commands) -> None:
 
 
 def _view(options: argparse.Namespace) -> None:
-    if options.html or options.output:
+    if options.html:
         _page(options)
     else:
         _serve(options)
@@ -84,7 +89,8 @@ def _page(options: argparse.Namespace) -> None:
     from logs.viewing.page import load_view, open_in_browser, write_page
 
     truth = [options.truth] if options.truth else []
-    out = output_file(options.output or RUNS / f"{options.logs[0].stem}.html", *options.logs, *truth)
+    is_opened = options.html is _OPENED
+    out = output_file(RUNS / f"{options.logs[0].stem}.html" if is_opened else options.html, *options.logs, *truth)
     logs = [open_log(options, [path]) for path in options.logs]
     true = open_log(options, truth) if truth else None
     _, field = settings(options)
@@ -96,7 +102,7 @@ def _page(options: argparse.Namespace) -> None:
         sights = [load_seen(log, _SEGMENTS) for log in (*logs, *([true] if true else []))]
         write_page(out, result, next((seen for seen in sights if len(seen)), None))
     say(options, f"page: {out}")
-    if not options.output and not open_in_browser(out):
+    if is_opened and not open_in_browser(out):
         say(options, "no browser here: open it in one")
 
 
