@@ -57,7 +57,7 @@ def test_a_simulated_game_is_localized_like_any_log(call: Call, game: Path, here
 
 
 def test_the_scenarios_have_names(call: Call) -> None:
-    names = call("simulate", "--list").out.split()
+    names = [line.split()[0] for line in call("simulate", "--list").out.splitlines()]
     assert {"kidsize-game", "spl-game", "quiet", "ideal"} <= set(names)
     for name in names:
         assert call("simulate", "--scenario", name, "--duration-s", "0.5", "-o", f"{name}.mcap").code == 0

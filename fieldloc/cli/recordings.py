@@ -69,7 +69,7 @@ def _simulate(options: argparse.Namespace) -> None:
     from logs.simulate import SCENARIOS, load_scenario, simulate, with_settings
 
     if options.list:
-        print("\n".join(SCENARIOS))
+        print("\n".join(f"{name:14}{load_scenario(name).about}" for name in SCENARIOS))
         return
     if options.images:
         raise FieldlocError("--images: there is no renderer yet; without it the log holds what a detector would find")
