@@ -22,9 +22,9 @@ def image(stamp_s=0.0, boxes=(), lines=(), confidences=None, frame="camera_optic
     return ImageDetectionsPart(ns(stamp_s), frame, boxes, some[: len(boxes)], lines, some[len(boxes) :])
 
 
-def space(stamp_s=0.0, lines=(), frame="base_footprint"):
+def space(stamp_s=0.0, lines=(), frame="base_footprint", confidence=np.nan):
     lines = np.array(lines, dtype=float).reshape(-1, 2, 3)
-    return SpaceDetectionsPart(ns(stamp_s), frame, np.zeros((0, 3)), NOTHING, lines, np.full(len(lines), np.nan))
+    return SpaceDetectionsPart(ns(stamp_s), frame, np.zeros((0, 3)), NOTHING, lines, np.full(len(lines), confidence))
 
 
 def around(mount=MOUNT, **options):
@@ -89,6 +89,8 @@ def test_a_detection_that_is_not_sure_enough_is_none():
         adapter = ImageAdapter(around(mapping=LogMapping(detections=DetectionNoise(min_confidence=least))), ["/x"])
         found = list(adapter.take("/x", 0, part))
         assert sum(len(features.posts) + len(features.lines) for features in found) == count
+        on_ground = space(lines=[[[1.5, -0.3, 0.0], [2.0, 0.6, 0.0]]], confidence=0.4)
+        assert len(list(adapter.take("/x", 0, on_ground))) == bool(count)
 
 
 # Images

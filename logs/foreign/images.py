@@ -73,13 +73,12 @@ class ImageAdapter:
             lines: list[LineObservation] = []
             noise = around.mapping.detections
             for part in image.values():
+                ends = part.lines[~(part.line_confidences < noise.min_confidence)]
                 if isinstance(part, ImageDetectionsPart):
                     posts += posts_of_boxes(part, around.camera, mount, noise)
-                    ends = part.lines
                 else:
-                    ends = _in_image(part.lines, around.robot_from(part.frame, stamp_ns), around.camera, mount)
-                sure = ~(part.line_confidences < noise.min_confidence) if ends is part.lines else slice(None)
-                lines += [LineObservation(pair, noise.line_sigma_px**2 * np.eye(4)) for pair in ends[sure]]
+                    ends = _in_image(ends, around.robot_from(part.frame, stamp_ns), around.camera, mount)
+                lines += [LineObservation(pair, noise.line_sigma_px**2 * np.eye(4)) for pair in ends]
         except Unusable as error:
             for topic in image:
                 around.notes.leave_out(topic, complaint(topic, stamp_ns, str(error)))
