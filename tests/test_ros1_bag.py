@@ -13,6 +13,7 @@ from rosbags.rosbag1 import Reader
 
 from fieldloc.errors import FieldlocError
 from logs import ros
+from logs.edit import cut
 from logs.foreign.parts import ImuPart, MagneticPart, OdometryPart
 from logs.reader.container import open_container
 from logs.ros.bags import open_bag
@@ -93,6 +94,25 @@ def test_a_topic_of_two_publishers_is_one_channel(tmp_path: Path) -> None:
     bag = open_bag(tmp_path / "two.bag")
     assert list(bag.counts.values()) == [6]
     assert [message.log_time_ns for message in bag.messages(bag.sources)] == list(range(6))
+
+
+def test_a_latched_topic_is_known_as_one_so_that_a_cut_carries_it_over(tmp_path: Path) -> None:
+    from rosbags.rosbag1 import Writer
+
+    with Writer(tmp_path / "latched.bag") as writer:
+        for topic, latching in (("/map", 1), ("/cmd", None)):
+            end = writer.add_connection(
+                topic, "geometry_msgs/msg/Twist", typestore=ros_messages.store(ros1=True), latching=latching
+            )
+            writer.write(end, 1_000_000_000, bytes(48))
+            if topic == "/cmd":
+                writer.write(end, 9_000_000_000, bytes(48))
+    bag = open_bag(tmp_path / "latched.bag")
+    assert {source.topic: source.metadata.get("latching") for source in bag.sources.values()} == {
+        "/map": "1",
+        "/cmd": None,
+    }
+    assert cut(bag, tmp_path / "cut.mcap", start_ns=5_000_000_000).counts == {"/map": 1, "/cmd": 1}
 
 
 def test_a_bag_that_is_cut_off_anywhere_gives_what_stands_before(bag: Path, tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ from logs.source import Attachment, RawMessage, Source
 _ENTRY = np.dtype([("time", "<u8"), ("chunk", "<u4"), ("offset", "<u4"), ("connection", "<u4")])
 _ON_DISK = np.dtype([("seconds", "<u4"), ("rest", "<u4"), ("offset", "<u4")])
 _CHUNKS_AT_HAND = 4  # chunks overlap in time where a publisher was slow, hardly ever more than two at once
+_KEPT = ("md5sum", "latching")  # of what a publisher says of itself, but for its name: a topic's publishers are one
 
 
 class Ros1Bag:
@@ -185,7 +186,7 @@ class Ros1Bag:
             said.get(b"type", b"").decode(errors="replace"),
             "ros1msg",
             said.get(b"message_definition", b""),
-            {"md5sum": said.get(b"md5sum", b"").decode(errors="replace")},
+            {name: said[name.encode()].decode(errors="replace") for name in _KEPT if name.encode() in said},
         )
         channel = next((known for known, other in self._sources.items() if other == source), None)
         if channel is None:
