@@ -66,7 +66,7 @@ def _add_options(sub: Parser, output: str, default: str) -> None:
 def _add_result_options(sub: Parser, default: str) -> None:
     sub.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="several are read as one")
     _add_options(sub, "OUT.mcap", default)
-    sub.add_argument("--merge", action="store_true", help="the log's own messages into the result too, as they are")
+    sub.add_argument("--merge", action="store_true", help="all of the log's own messages into the result too")
     sub.add_argument("--ros2", action="store_true", help="the result for ROS 2 and nobody else")
 
 
