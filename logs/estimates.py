@@ -11,21 +11,19 @@ from estimators.base import Estimate
 from fieldloc.errors import FieldlocError
 from fieldloc.measurements import Truth
 from logs import result_streams
-from logs.foxglove.topics import BESIDE_OTHERS, Frames
+from logs.foreign.wires import has_transforms
+from logs.foxglove.topics import BESIDE_OTHERS, STAMPS_NS, Frames
 from logs.odom import odom_from_robot
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
 from logs.replay import Recording, Replay
-from logs.ros.results import POSE_TOPIC
-from logs.schema import topic_of
+from logs.schema import ROS2_ESTIMATES, topic_of
 from logs.source import Container, Encoded, RawMessage, Source
 from logs.trajectory import Trajectory, from_estimates, from_truth
 from logs.writer import METADATA, ROS2, LogWriter
 
 _PROGRESS_EVERY = 500
-_FOXGLOVE_NS = range(2**32 * 1_000_000_000)  # the stamps that Foxglove's messages hold
-
-_PER_ESTIMATE = (topic_of(Estimate), POSE_TOPIC)
+_PER_ESTIMATE = (topic_of(Estimate), ROS2_ESTIMATES)
 
 _Item = tuple[int, Source, RawMessage | Encoded]
 
@@ -53,12 +51,12 @@ def write_estimates(
     begin_ns = recording.measurements[0].stamp_ns + offset_ns
     if merge is not None and merge.span_ns is not None:
         begin_ns = min(begin_ns, merge.span_ns[0])
-    others = merge is not None and result_streams.has_transforms(merge)
+    others = merge is not None and has_transforms(result_streams.kept_channels(merge).values())
     strange = result_streams.not_ros2(merge) if ros2 and merge is not None else None
     streams = []
     if not ros2 or strange:
         own = [result_streams.own_messages(recording, estimates, begin_ns, offset_ns)]
-        if all(m.stamp_ns in _FOXGLOVE_NS for m in (recording.measurements[0], recording.measurements[-1], *estimates)):
+        if all(m.stamp_ns in STAMPS_NS for m in (recording.measurements[0], recording.measurements[-1], *estimates)):
             frames = BESIDE_OTHERS if ros2 or others else Frames()
             own += result_streams.foxglove_streams(recording, estimates, odom, begin_ns, offset_ns, frames)
         else:
@@ -126,8 +124,8 @@ def _or_fail(stream: Iterator[Encoded], what: str) -> Iterator[Encoded]:
 def _keep_rest(log: LogWriter, merge: Container) -> None:
     """Channels, also those without messages, files and metadata of the input; its own record of how it was made is
     renamed, as the result has one."""
-    for number in result_streams.kept_channels(merge):
-        log.add_source(merge.sources[number])
+    for source in result_streams.kept_channels(merge).values():
+        log.add_source(source)
     for name, mapping in merge.metadata.items():
         renamed = f"{METADATA} ({merge.path.name})"
         while renamed in merge.metadata:

@@ -17,13 +17,6 @@ from logs.replay import Recording
 from logs.schema import BY_KIND, BY_NAME, MESSAGE_ENCODING, SCHEMA_ENCODING, TOPICS, Record, encode, topic_of
 from logs.source import Container, Encoded, RawMessage, Source
 
-_TRANSFORMS = (
-    "foxglove.FrameTransform",
-    "foxglove.FrameTransforms",
-    "tf/tfMessage",
-    "tf2_msgs/TFMessage",
-    "tf2_msgs/msg/TFMessage",
-)
 _SAMPLES = 100  # of each kind of measurement, to compare clocks
 _SAME_CLOCK_NS = 1_000_000_000  # a message's way to the log is shorter
 
@@ -34,8 +27,7 @@ def clock_offset_ns(log: LogFile) -> int:
     offsets: list[int] = []
     for kind in (Odometry, ImageFeatures, LandmarkScan, Compass):
         if log.has(kind):
-            played_by = log.roles[BY_KIND[kind].role].split(", ")
-            messages = islice(log.messages(played_by), _SAMPLES)
+            messages = islice(log.messages(log.topics(BY_KIND[kind].role)), _SAMPLES)
             records = [(message.log_time_ns, message.record) for message in messages]
             offsets += [logged_ns - record.stamp_ns for logged_ns, record in records if isinstance(record, kind)]
     if not offsets:
@@ -44,9 +36,9 @@ def clock_offset_ns(log: LogFile) -> int:
     return median_ns if abs(median_ns) > _SAME_CLOCK_NS else 0
 
 
-def kept_channels(merge: Container) -> list[int]:
+def kept_channels(merge: Container) -> dict[int, Source]:
     """All but earlier results and a map of fieldloc's, whose place the map takes that the estimates were made on."""
-    return [number for number, source in merge.sources.items() if not _is_result(source)]
+    return {number: source for number, source in merge.sources.items() if not _is_result(source)}
 
 
 def _is_result(source: Source) -> bool:
@@ -59,14 +51,9 @@ def _is_result(source: Source) -> bool:
     return source.topic == TOPICS["estimate"] or source.topic.startswith(PREFIX)
 
 
-def has_transforms(merge: Container) -> bool:
-    """Whether what stays of the input holds transforms: frames of the same name must not get a second parent."""
-    return any(merge.sources[number].schema_name in _TRANSFORMS for number in kept_channels(merge))
-
-
 def not_ros2(merge: Container) -> str | None:
     """A topic that stays of the input and that ROS 2's tools cannot read, None where there is none."""
-    kept = (merge.sources[number] for number in kept_channels(merge))
+    kept = kept_channels(merge).values()
     return next(
         (s.topic for s in kept if s.message_encoding != "cdr" or not s.schema_encoding.startswith("ros2")), None
     )
@@ -74,8 +61,8 @@ def not_ros2(merge: Container) -> str | None:
 
 def kept_messages(merge: Container) -> Iterator[tuple[Source, RawMessage]]:
     """What stays of the input, byte by byte."""
-    sources = merge.sources
-    for message in merge.messages(kept_channels(merge)):
+    sources = kept_channels(merge)
+    for message in merge.messages(sources.keys()):
         yield sources[message.channel], message
 
 

@@ -136,6 +136,8 @@ BY_ROLE: Mapping[str, Schema] = MappingProxyType({schema.role: schema for schema
 BY_KIND: Mapping[type, Schema] = MappingProxyType({schema.kind: schema for schema in SCHEMAS})
 TOPICS: Mapping[str, str] = MappingProxyType({schema.role: f"/{schema.role}" for schema in SCHEMAS})
 """Where each role is written, and looked for unless told otherwise."""
+ROS2_ESTIMATES = "/fieldloc/pose_with_covariance"
+"""Where estimates are written as ROS 2 messages, and looked for too."""
 
 
 def topic_of(kind: type[R]) -> str:

@@ -21,6 +21,13 @@ class Source:
     metadata: Mapping[str, str] = field(default_factory=lambda: _NONE)
 
 
+def is_latched(source: Source) -> bool:
+    """Whether ROS keeps its last message for who comes late: QoS transient local (ROS 2), latching (ROS 1)."""
+    qos = source.metadata.get("offered_qos_profiles", "").replace(" ", "")
+    transient_local = "durability:1\n" in f"{qos}\n" or "durability:transient_local" in qos
+    return transient_local or source.metadata.get("latching") in ("1", "true", "True")
+
+
 class RawMessage(NamedTuple):
     """A message as it stands in the file. channel: a key of its container's `sources`."""
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from fieldloc.errors import FieldlocError
 from logs.progress import Progress
 from logs.reader.container import open_container
+from logs.reader.damage import times
 from logs.schema import seconds
 from logs.source import Container, RawMessage, Source
 from logs.writer import LogWriter
@@ -52,6 +53,13 @@ class Copy:
         for attachment in self._source.attachments():
             self._out.attach(attachment)
             self._attachments += 1
+
+    def whole(self) -> None:
+        """All of it, channels without messages too."""
+        self.everything_else()
+        for channel in self._source.sources.values():
+            self._out.add_source(channel)
+        self.messages(self._source.messages(self._source.sources.keys()), self._source.span_ns or (0, 0))
 
     def messages(self, messages: Iterable[RawMessage], span_ns: tuple[int, int]) -> None:
         """In their order. span_ns: roughly where they begin and end; only for whoever watches."""
@@ -109,7 +117,3 @@ def profile(sources: Collection[Source]) -> str:
 def span(source: Container) -> str:
     """For people."""
     return "no messages" if source.span_ns is None else " to ".join(map(seconds, source.span_ns))
-
-
-def times(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"

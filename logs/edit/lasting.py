@@ -13,7 +13,7 @@ calibration with every image. /initial_pose is not among them: it was true at it
 
 from collections.abc import Collection
 
-from logs.source import Container, RawMessage, Source
+from logs.source import Container, RawMessage, is_latched
 
 _SOON_NS = 10**9
 _MOST = 1000  # different static transforms that are remembered
@@ -28,7 +28,7 @@ def carried(
     sources = container.sources
     static = {i for i in channels if sources[i].topic.rpartition("/")[2] == "tf_static"}
     ours = {i for i in channels if sources[i].schema_name.startswith(_OURS)}
-    others = {i for i in channels if _is_lasting(sources[i])} - static
+    others = {i for i in channels if sources[i].schema_name in _CALIBRATIONS or is_latched(sources[i])} - static
     soon_ns = start_ns + _SOON_NS if end_ns is None else min(start_ns + _SOON_NS, end_ns)
     lasting = ours - _speaking(container, ours, start_ns, start_ns + 1)
     lasting |= others - _speaking(container, others, start_ns, soon_ns)
@@ -49,11 +49,3 @@ def _speaking(container: Container, channels: Collection[int], start_ns: int, en
     if not channels:
         return set()
     return {message.channel for message in container.messages(channels, start_ns, end_ns)}
-
-
-def _is_lasting(source: Source) -> bool:
-    if source.schema_name in _CALIBRATIONS:
-        return True
-    qos = source.metadata.get("offered_qos_profiles", "").replace(" ", "")
-    transient_local = "durability:1\n" in f"{qos}\n" or "durability:transient_local" in qos
-    return transient_local or source.metadata.get("latching") in ("1", "true", "True")

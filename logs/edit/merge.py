@@ -34,10 +34,7 @@ def merge(
     merged = Merged(containers)
     with LogWriter(path, profile=profile(merged.sources.values()), signed=False) as writer:
         copy = Copy(merged, writer, progress)
-        copy.everything_else()
-        for channel in merged.sources.values():
-            writer.add_source(channel)
-        copy.messages(merged.messages(merged.sources.keys()), merged.span_ns or (0, 0))
+        copy.whole()
     notes = tuple(note for one, other in combinations(containers, 2) for note in _joined(one, other))
     return copy.summary(path, (*merged.damage, *copy.missing()), notes)
 

@@ -20,8 +20,5 @@ def repair(source: Container | Path | str, out: Path | str, progress: Progress =
     sources = container.sources
     with LogWriter(path, profile=profile(sources.values()), signed=False) as writer:
         copy = Copy(container, writer, progress)
-        copy.everything_else()
-        for channel in sources.values():
-            writer.add_source(channel)
-        copy.messages(container.messages(sources.keys()), container.span_ns or (0, 0))
+        copy.whole()
     return copy.summary(path, (*container.damage, *copy.missing()))

@@ -38,7 +38,8 @@ from logs.foreign.parts import (
 )
 from logs.foreign.settings import SHOWN, LogMapping
 from logs.foreign.wires import known_type, own_schema
-from logs.schema import TOPICS
+from logs.foxglove.topics import PREFIX
+from logs.schema import ROS2_ESTIMATES, TOPICS
 from logs.source import Source
 
 PLAYERS: Mapping[str, tuple[type[Part], ...]] = {
@@ -59,8 +60,6 @@ PLAYERS: Mapping[str, tuple[type[Part], ...]] = {
 }
 """What the messages of others must be to play a role."""
 
-_OURS = "/fieldloc/"
-_ESTIMATE_IN_ROS = "/fieldloc/pose_with_covariance"  # logs.ros.results
 _TRUTH = re.compile(r"ground_?truth|mocap|motion_?capture|optitrack|vicon|vrpn|qualisys|(^|[/_.])(gt|truth)([/_.]|$)")
 _INITIAL = re.compile(r"initial_?pose$")
 _ESTIMATE = re.compile(r"amcl|locali[sz]|estimat|global|(^|[/_])(robot_|current_|filtered_)?pose(_with_covariance)?$")
@@ -95,7 +94,7 @@ class _Channel:
 
     @property
     def is_viewers(self) -> bool:
-        return self.topic.startswith(_OURS) and self.topic != _ESTIMATE_IN_ROS
+        return self.topic.startswith(PREFIX) and self.topic != ROS2_ESTIMATES
 
 
 def guess_roles(

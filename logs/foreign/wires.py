@@ -1,8 +1,8 @@
 """Which room decodes a channel. Nothing of ROS or Foxglove is imported for a log that has nothing of theirs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
-from logs.foreign.parts import Part
+from logs.foreign.parts import Part, Transforms
 from logs.schema import BY_NAME, MESSAGE_ENCODING, SCHEMA_ENCODING, Schema
 from logs.source import Source
 
@@ -28,6 +28,11 @@ def known_type(source: Source) -> type[Part] | None:
 
         return foxglove.known_type(source)
     return None
+
+
+def has_transforms(sources: Iterable[Source]) -> bool:
+    """Whether someone else's frames are in it: frames of the same name must not get a second parent."""
+    return any(known_type(source) is Transforms for source in sources)
 
 
 def decoder(source: Source) -> Callable[[bytes], Part] | None:

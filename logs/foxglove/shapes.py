@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fieldloc.field import FieldMap
 from fieldloc.pose import FloatArray
+from logs.foxglove.topics import STAMPS_NS
 
 WHITE = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 GRASS = Color(r=0.13, g=0.40, b=0.20, a=1.0)
@@ -27,7 +28,7 @@ PALE_BLUE = Color(r=0.20, g=0.60, b=1.0, a=0.6)
 YELLOW = Color(r=1.0, g=0.85, b=0.10, a=1.0)
 RED = Color(r=1.0, g=0.25, b=0.20, a=1.0)
 
-LAST_STAMP_NS = 2**32 * 1_000_000_000 - 1
+LAST_STAMP_NS = STAMPS_NS[-1]
 """Foxglove's SDK counts seconds in 32 bits: until 2106 by the usual epoch."""
 
 _CIRCLE_SIDES = 96  # of a centre circle: a chord is off by 0.5 mm at 1.5 m

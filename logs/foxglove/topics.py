@@ -28,6 +28,9 @@ ANNOTATIONS = "/fieldloc/annotations"
 HYPOTHESES = "/fieldloc/hypotheses"
 WEIGHTS = "/fieldloc/weights"
 
+STAMPS_NS = range(2**32 * 1_000_000_000)
+"""The stamps that Foxglove's messages hold."""
+
 
 class Frames(NamedTuple):
     """Names of the frames. A viewer takes a frame of the same name in other messages for the same one."""

@@ -134,7 +134,7 @@ class LogFile:
 
     def has(self, kind: type[R]) -> bool:
         """Whether there are messages on a topic of this kind of record."""
-        topics = self._topics(BY_KIND[kind].role)
+        topics = self.topics(BY_KIND[kind].role)
         told = kind is Camera and self.mapping.camera is not None
         return told or any(source.topic in topics and count > 0 for source, count in self.sources)
 
@@ -201,10 +201,10 @@ class LogFile:
         roles = [BY_KIND[kind].role for kind in kinds]
         own: dict[int, tuple[str, Schema]] = {}
         for role in roles:
-            of_role = self._own(self._topics(role), role)
+            of_role = self._own(self.topics(role), role)
             if not of_role and not self._interpreter.channels(role):
                 for source, count in self.sources:
-                    if count and source.topic in self._topics(role) and (problem := self.problem(source)):
+                    if count and source.topic in self.topics(role) and (problem := self.problem(source)):
                         self._notes.say(problem)
             own |= of_role
         translation = self._interpreter.translation({role: self._interpreter.channels(role) for role in roles})
@@ -235,7 +235,7 @@ class LogFile:
                 if topic not in held:
                     self._notes.say(f"no topic {topic}, which is to be {role}")
 
-    def _topics(self, role: str) -> tuple[str, ...]:
+    def topics(self, role: str) -> tuple[str, ...]:
         """Those that play the role or should: the usual one where the mapping says nothing and nothing plays it."""
         if role in self.mapping.roles:
             return self.mapping.roles[role]

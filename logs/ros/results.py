@@ -11,9 +11,9 @@ from typing import NamedTuple
 from estimators.base import Estimate
 from fieldloc.pose import FloatArray
 from logs.ros.standard import standard_text
+from logs.schema import ROS2_ESTIMATES
 from logs.source import Encoded, Source
 
-POSE_TOPIC = "/fieldloc/pose_with_covariance"
 ODOMETRY_TOPIC = "/fieldloc/odometry"
 TF_TOPIC = "/tf"
 
@@ -64,7 +64,7 @@ def ros2_messages(
 def sources() -> tuple[Source, Source, Source]:
     """Those of the messages, in their order."""
     return (
-        _source(POSE_TOPIC, "geometry_msgs/msg/PoseWithCovarianceStamped"),
+        _source(ROS2_ESTIMATES, "geometry_msgs/msg/PoseWithCovarianceStamped"),
         _source(ODOMETRY_TOPIC, "nav_msgs/msg/Odometry"),
         _source(TF_TOPIC, "tf2_msgs/msg/TFMessage"),
     )

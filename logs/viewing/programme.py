@@ -4,11 +4,10 @@ import heapq
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Protocol
 
-from logs.source import Container, Encoded, Source
+from logs.source import Container, Encoded, Source, is_latched
 
 _FEW = 20  # a topic with no more messages than this holds what it last said
 _MANY = 1000  # messages: who says so much does not need to be repeated
-_LASTING_QOS = ("durability: 1", "durability: transient_local")  # of ROS 2, in the channel's metadata
 _ADDING_UP = ("tf_static",)  # each message adds to those before it
 
 
@@ -30,7 +29,7 @@ class Programme(Protocol):
 class RawProgramme:
     """Channels of a log as they are. channels: which of them, all if not told."""
 
-    def __init__(self, container: Container, channels: Sequence[int] | None = None) -> None:
+    def __init__(self, container: Container, channels: Collection[int] | None = None) -> None:
         self._container = container
         numbers = container.sources.keys() if channels is None else channels
         self._sources = {number: container.sources[number] for number in numbers}
@@ -116,5 +115,4 @@ def lasting_channels(sources: Mapping[int, Source], counts: Mapping[int, int]) -
 
 
 def _says_so(source: Source) -> bool:
-    quality = source.metadata.get("offered_qos_profiles", "")
-    return source.topic.endswith(_ADDING_UP) or any(durability in quality for durability in _LASTING_QOS)
+    return source.topic.endswith(_ADDING_UP) or is_latched(source)

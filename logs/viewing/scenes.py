@@ -10,6 +10,7 @@ from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
 from fieldloc.measurements import ImageFeatures, LandmarkScan, Odometry, Truth
 from fieldloc.pose import FloatArray
+from logs.foreign.wires import has_transforms
 from logs.foxglove import topics
 from logs.foxglove.throttle import Throttle
 from logs.odom import odom_from_robot
@@ -22,9 +23,7 @@ from logs.viewing.timeline import Event, Shown, Timeline
 TRUE_WAY, TRUE_POSE = "/fieldloc/true_way", "/fieldloc/true_pose"
 
 _BLOCK = 16  # events that are turned into messages together: an estimator is so far ahead of what is shown
-_STAMPS_NS = range(2**32 * 1_000_000_000)  # that Foxglove's messages hold
 _STANDING: tuple[type[Shown], ...] = (Estimate, LandmarkScan, ImageFeatures, Truth)
-_MOVING = ("tf2_msgs/msg/TFMessage", "tf2_msgs/TFMessage", "foxglove.FrameTransform", "foxglove.FrameTransforms")
 
 
 class Scenes:
@@ -126,7 +125,7 @@ def log_scenes(log: LogFile, frames: topics.Frames) -> Scenes | None:
     found: list[tuple[int, Shown]] = []
     for message in log.messages(played) if played else ():
         record = message.record
-        if isinstance(record, Estimate | Truth | LandmarkScan | ImageFeatures) and record.stamp_ns in _STAMPS_NS:
+        if isinstance(record, Estimate | Truth | LandmarkScan | ImageFeatures) and record.stamp_ns in topics.STAMPS_NS:
             found.append((message.log_time_ns, record))
     events = _with_poses(sorted(found, key=lambda one: (one[0], not isinstance(one[1], guide))), guide)
     span_ns = (events[0].log_time_ns, events[-1].log_time_ns) if events else log.span_ns or (0, 0)
@@ -156,7 +155,9 @@ def run_scenes(run: Run, truth: Sequence[Truth], offset_ns: int, frames: topics.
         for i, step in enumerate(run.steps()):
             logged_ns = step.measurement.stamp_ns + offset_ns
             now = step.estimate
-            if step.measurement.stamp_ns not in _STAMPS_NS or (now is not None and now.stamp_ns not in _STAMPS_NS):
+            if step.measurement.stamp_ns not in topics.STAMPS_NS or (
+                now is not None and now.stamp_ns not in topics.STAMPS_NS
+            ):
                 continue
             if now is not None:
                 yield Event(logged_ns, now, now.pose, None if odom is None else odom[i])
@@ -170,7 +171,7 @@ def run_scenes(run: Run, truth: Sequence[Truth], offset_ns: int, frames: topics.
 
 def frames_beside(sources: Sequence[Source]) -> topics.Frames:
     """Names that no one else's transforms use."""
-    return topics.BESIDE_OTHERS if any(source.schema_name in _MOVING for source in sources) else topics.Frames()
+    return topics.BESIDE_OTHERS if has_transforms(sources) else topics.Frames()
 
 
 def _lasting(field: FieldMap | None, records: Sequence[Record], frames: topics.Frames) -> list[Encoded]:
@@ -178,7 +179,7 @@ def _lasting(field: FieldMap | None, records: Sequence[Record], frames: topics.F
     from logs.foxglove.results import field_messages, trajectory_messages
 
     estimates = [record for record in records if isinstance(record, Estimate)]
-    truth = [record for record in records if isinstance(record, Truth) and record.stamp_ns in _STAMPS_NS]
+    truth = [record for record in records if isinstance(record, Truth) and record.stamp_ns in topics.STAMPS_NS]
     first: list[Estimate | Truth] = [*estimates[:1], *truth[:1]]
     first_ns = min((int(one.stamp_ns) for one in first), default=0)
     out: list[Encoded] = [] if field is None else [*field_messages(field, first_ns, frames)]
