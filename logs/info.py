@@ -1,12 +1,11 @@
 """What is in a log, topic by topic, as data for a table."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
-from logs.foreign.settings import LogMapping
 from logs.foreign.wires import own_schema
 from logs.pace import Pace
 from logs.reader import LogFile
@@ -50,15 +49,8 @@ class LogSummary:
         return 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
 
 
-def summarize(
-    path: str | Path | Sequence[str | Path], mapping: LogMapping | Mapping[str, str] | None = None
-) -> LogSummary:
-    """Read the whole log once, decoding what fieldloc wrote. FieldlocError only for what is no recording."""
-    return summary_of(LogFile(path, mapping))
-
-
-def summary_of(log: LogFile) -> LogSummary:
-    """The same of a log that is open."""
+def summarize(log: LogFile) -> LogSummary:
+    """Reads all of it, decoding what fieldloc wrote."""
     sources = log.sources
     problems = {source.topic: problem for source, _ in sources if (problem := log.problem(source))}
     own = {s.topic for s, count in sources if count and own_schema(s) and log.plays(s) and s.topic not in problems}

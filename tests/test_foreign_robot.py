@@ -63,7 +63,7 @@ def test_a_ros_2_recording_lands_within_centimetres_of_the_truth(bag):
 
 
 def test_its_table_shows_who_plays_what(bag):
-    rows = {row.topic: (row.role, row.candidate, row.count) for row in summarize(bag).rows}
+    rows = {row.topic: (row.role, row.candidate, row.count) for row in summarize(LogFile(bag)).rows}
     images = round(SECONDS * IMAGE_HZ) + 1
     assert rows == {
         "/camera/camera_info": ("camera", None, images),
@@ -76,7 +76,7 @@ def test_its_table_shows_who_plays_what(bag):
         "/tf": ("tf", None, round(SECONDS * ODOM_HZ) + 1),
         "/tf_static": ("tf", None, 1),
     }
-    text = format_summary(summarize(bag))
+    text = format_summary(summarize(LogFile(bag)))
     row = next(line for line in text.splitlines() if line.startswith("/odom ")).split()
     assert row == ["/odom", "nav_msgs/msg/Odometry", "odometry", "401", "50.00", "0.020"]
     assert next(line for line in text.splitlines() if line.startswith("/cmd_vel")).split()[2] == "odometry?"

@@ -5,6 +5,7 @@ from real_logs import sample_messages, write
 
 from logs.info import LogSummary, TopicRow, summarize
 from logs.info_text import format_summary
+from logs.reader import LogFile
 
 
 def summary(*rows: TopicRow, start_ns: int | None = 0, end_ns: int | None = 2_500_000_000) -> LogSummary:
@@ -36,7 +37,7 @@ def test_a_log_without_messages_says_so() -> None:
 
 
 def test_columns_are_aligned_under_their_titles(tmp_path: Path) -> None:
-    lines = format_summary(summarize(write(tmp_path / "log.mcap", sample_messages(2.0)))).splitlines()
+    lines = format_summary(summarize(LogFile(write(tmp_path / "log.mcap", sample_messages(2.0))))).splitlines()
     titles = next(line for line in lines if line.startswith("topic"))
     rows = lines[lines.index(titles) + 1 :]
     assert [row.split()[0] for row in rows] == ["/field", "/landmarks", "/odometry", "/truth"]
@@ -49,5 +50,5 @@ def test_columns_are_aligned_under_their_titles(tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", [1, 2])
 def test_rates_and_gaps_need_two_messages(tmp_path: Path, count: int) -> None:
     messages = [m for m in sample_messages(2.0) if m.topic == "/odometry"][:count]
-    last = format_summary(summarize(write(tmp_path / "log.mcap", messages))).splitlines()[-1]
+    last = format_summary(summarize(LogFile(write(tmp_path / "log.mcap", messages)))).splitlines()[-1]
     assert last.split()[-2:] == (["-", "-"] if count == 1 else ["10.00", "0.100"])

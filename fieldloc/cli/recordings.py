@@ -81,13 +81,13 @@ def _simulate(options: argparse.Namespace) -> None:
 
 
 def _info(options: argparse.Namespace) -> None:
-    from logs.info import summary_of
+    from logs.info import summarize
     from logs.info_json import summary_document
     from logs.info_text import format_summary
 
     with bar(options, "reading"):
         log = open_log(options, options.logs)
-        summary = summary_of(log)
+        summary = summarize(log)
     print(json.dumps(summary_document(summary, log.container), indent=1) if options.json else format_summary(summary))
     warn(summary.warnings)
 
