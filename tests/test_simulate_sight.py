@@ -20,7 +20,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.view import visible_parts
 from logs.schema import BY_KIND, decode, encode
 from logs.simulate.clipping import on_image
-from logs.simulate.sight import SimulatedCamera, simulate_images
+from logs.simulate.sight import SimulatedCamera
 from logs.simulate.vision_settings import HeadSettings, VisionSettings
 
 FIELD = load_field("kidsize")
@@ -178,7 +178,8 @@ def _bits(images: list[tuple[int, ImageFeatures]]) -> list[object]:
 def test_a_seed_gives_one_game_bit_for_bit() -> None:
     course = standing(POSES[0], 60.0, steps_hz=3.0, others=[[2.0, 0.3], [3.0, -1.0]])
     first, again, other = (
-        _bits(list(simulate_images(course, FIELD, VisionSettings(), np.random.default_rng(seed)))) for seed in (1, 1, 2)
+        _bits(list(SimulatedCamera(VisionSettings(), np.random.default_rng(seed)).images(course, FIELD)))
+        for seed in (1, 1, 2)
     )
     assert first == again
     assert first != other
@@ -192,7 +193,7 @@ def test_a_camera_can_be_asked_twice() -> None:
 
 def test_what_is_seen_survives_the_log() -> None:
     course = standing(POSES[0], 20.0, steps_hz=3.0, others=[[2.0, 0.3], [np.nan, np.nan]])
-    images = list(simulate_images(course, FIELD, VisionSettings(), np.random.default_rng(1)))
+    images = list(SimulatedCamera(VisionSettings(), np.random.default_rng(1)).images(course, FIELD))
     feet = 0
     for _, image in images:
         again = decode(BY_KIND[ImageFeatures], "/image_features", encode(image))

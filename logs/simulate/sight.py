@@ -75,13 +75,6 @@ class SimulatedCamera:
         return covariance
 
 
-def simulate_images(
-    course: Course, field: FieldMap, settings: VisionSettings, random: np.random.Generator
-) -> Iterator[tuple[int, ImageFeatures]]:
-    """(log time, features) of each image of a camera drawn for the occasion, in the order of their stamps."""
-    return SimulatedCamera(settings, random).images(course, field)
-
-
 def _posts_by_image(found: FoundPosts, count: int) -> list[tuple[PostObservation, ...]]:
     with_foot = np.isfinite(found.feet_px[:, 0]).tolist()
     columns = (found.edges_px, found.covariance_px2, found.feet_px, found.foot_covariance_px2, with_foot)
