@@ -72,7 +72,10 @@ def kill_after(child, seconds, number):
 
 
 def messages_by_mcap(path):
-    """How many messages mcap's own reader of streams gets out of an unfinished file before it gives up."""
+    """How many messages mcap's own reader of streams gets out of an unfinished file before it gives up.
+
+    Ours may get more, never fewer: a kill in the midst of a chunk leaves its beginning, which mcap drops whole.
+    """
     count = 0
     with path.open("rb") as file:
         try:
@@ -104,7 +107,7 @@ def test_all_but_the_last_second_of_a_killed_recording_can_be_read(tmp_path, mom
         found = contents(partial) if partial.stat().st_size > 8 else []
         assert len(found) >= due
         assert [m[1] for m in found] == [*range(len(found))]
-        assert messages_by_mcap(partial) == len(found)
+        assert messages_by_mcap(partial) <= len(found)
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +145,7 @@ def test_a_command_killed_at_any_moment_leaves_its_input_alone_and_no_half_outpu
         for partial in partials:
             found = contents(partial) if partial.stat().st_size > 8 else []
             assert found == whole[: len(found)]
-            assert messages_by_mcap(partial) == len(found)
+            assert messages_by_mcap(partial) <= len(found)
             partial.unlink()
     finish(*arguments)
     assert contents(out) == whole
