@@ -1,11 +1,14 @@
 """What every estimator takes and gives. One contract suite holds all of them to it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from fieldloc.factors import Factor
 from fieldloc.measurements import Odometry
+from fieldloc.mixture import MixtureFactor
 from fieldloc.pose import FloatArray
+from fieldloc.regions import Region
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +36,51 @@ class Innovation:
     weight: float
 
 
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """One of the poses that the robot may have, with its probability.
+
+    pose: (3,) field_from_robot; covariance: (3, 3) of (x_m, y_m, heading_rad) in field axes, if it is this one.
+    track: the same number for the same hypothesis from its beginning to its end.
+    """
+
+    weight: float
+    pose: FloatArray
+    covariance: FloatArray
+    track: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ambiguity:
+    """What the robot may be mistaken about at a stamp.
+
+    hypotheses: the likeliest first, all copies under the map's symmetries that are alive among them; the first one is
+    the estimate. mirrored: probability that the robot stands where the map's symmetries take the estimate to, and the
+    cloud of hypotheses around it. lost: probability that it is at none of the hypotheses. The hypotheses' weights and
+    `lost` add up to one.
+    """
+
+    stamp_ns: int
+    hypotheses: tuple[Hypothesis, ...]
+    mirrored: float
+    lost: float
+
+
+EventKind = Literal["start", "split", "merge", "decision", "recovery"]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that befell the hypotheses; text: a sentence for people.
+
+    decision: one hypothesis, or one side, holds 99 %. recovery: the robot was found elsewhere.
+    """
+
+    stamp_ns: int
+    kind: EventKind
+    text: str
+
+
 class Estimator(Protocol):
     """Takes motion and factors in the order of their stamps. Starts knowing nothing unless told."""
 
@@ -50,6 +98,29 @@ class Estimator(Protocol):
 
     def estimate(self) -> Estimate | None:
         """The present belief; None while nothing is known."""
+
+
+@runtime_checkable
+class MixtureEstimator(Estimator, Protocol):
+    """An estimator that keeps several solutions of an observation. Others get what `resolution.sure` makes of it."""
+
+    def start_in(self, region: Region, stamp_ns: int) -> None:
+        """Forget everything and believe that the robot is somewhere in the region, at that stamp."""
+
+    def observe(self, mixture: MixtureFactor) -> None:
+        """Move to the mixture's stamp and take it in; from nothing, all whole poses that it allows."""
+
+
+@runtime_checkable
+class Ambiguous(Protocol):
+    """An estimator that says how sure it is of what it cannot tell apart."""
+
+    def ambiguity(self) -> Ambiguity | None:
+        """The present one; None while nothing is known."""
+
+    @property
+    def events(self) -> Sequence[Event]:
+        """All so far, in order of stamps."""
 
 
 class Smoother(Estimator, Protocol):

@@ -4,6 +4,7 @@ from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
+from fieldloc.detection import Detection
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
 
@@ -52,6 +53,21 @@ class Particles:
 
 
 @dataclass(frozen=True, slots=True)
+class Mixture:
+    """The bank of hypotheses.
+
+    max_hypotheses: more are never kept, twins under the map's symmetries not counted. prune_below: hypotheses less
+    likely than this are dropped. kidnaps_per_min: how often a robot is carried away unnoticed.
+    whole_covariance: 1 makes the covariance of an estimate that of all hypotheses about it, 0 that of the best alone.
+    """
+
+    max_hypotheses: int = 64
+    prune_below: float = 1e-4
+    kidnaps_per_min: float = 0.2
+    whole_covariance: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Graph:
     """node_interval_s: a pose at least this often, besides one at each factor. cauchy: scale of the robust kernel, in
     sigmas of a factor."""
@@ -83,7 +99,9 @@ class Calibration:
 class Config:
     motion: MotionNoise = field(default_factory=MotionNoise)
     robust: Robust = field(default_factory=Robust)
+    mixture: Mixture = field(default_factory=Mixture)
     particles: Particles = field(default_factory=Particles)
     graph: Graph = field(default_factory=Graph)
     calibration: Calibration = field(default_factory=Calibration)
     correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
+    detection: Detection = field(default_factory=Detection)

@@ -1,19 +1,20 @@
 """The configuration tree from a TOML file and from single settings: [motion] forward_m_per_sqrt_m = 0.1."""
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TypeVar
 
-from estimators.config import Calibration, Config, Graph, MotionNoise, Particles, Robust
+from estimators.config import Calibration, Config, Graph, Mixture, MotionNoise, Particles, Robust
+from fieldloc.detection import Detection
 from fieldloc.errors import FieldlocError
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.toml_table import TomlTable
 
-_ABOVE_ZERO = ("nis_per_dof", "restart_after", "count", "cauchy")
-_BELOW_ONE = ("outlier_share",)
+_ABOVE_ZERO = ("nis_per_dof", "restart_after", "count", "cauchy", "max_hypotheses")
+_BELOW_ONE = ("outlier_share", "prune_below", "post", "clutter", "nothing_right")
 
-Section = TypeVar("Section", MotionNoise, Robust, Particles, Graph, Calibration, ErrorCorrelation)
+Section = TypeVar("Section", MotionNoise, Robust, Mixture, Particles, Graph, Calibration, ErrorCorrelation, Detection)
 
 
 def load_config(path: Path) -> Config:
@@ -37,14 +38,8 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
 
 
 def _with_table(config: Config, table: TomlTable) -> Config:
-    changed = Config(
-        motion=_section(config.motion, table, "motion"),
-        robust=_section(config.robust, table, "robust"),
-        particles=_section(config.particles, table, "particles"),
-        graph=_section(config.graph, table, "graph"),
-        calibration=_section(config.calibration, table, "calibration"),
-        correlation=_section(config.correlation, table, "correlation"),
-    )
+    sections = {item.name: _section(getattr(config, item.name), table, item.name) for item in fields(config)}
+    changed = replace(config, **sections)
     table.finish()
     return changed
 

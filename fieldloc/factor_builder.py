@@ -98,6 +98,8 @@ class FactorBuilder:
         """The scan with the covariance of what was seen just before made as wide as it is old news."""
         age_s = np.full(len(scan.labels), np.inf)
         age_s[rows] = [self._repetition.age_s(index, scan.stamp_ns) for index in indices]
+        for index in indices:
+            self._repetition.see(index, scan.stamp_ns)
         by_range = np.sqrt(inflation(age_s, self._correlation.range_s))
         by_bearing = np.sqrt(inflation(age_s, self._correlation.bearing_s))
         scale = np.stack([by_range, by_bearing], axis=-1)
@@ -108,6 +110,7 @@ class FactorBuilder:
         if not factors:
             return ()
         age_s = np.array(self._repetition.age_s(_ANY_IMAGE, features.stamp_ns))
+        self._repetition.see(_ANY_IMAGE, features.stamp_ns)
         wider = float(inflation(age_s, self._correlation.image_s))
         return tuple(replace(factor, covariance=factor.covariance * wider) for factor in factors)
 

@@ -17,7 +17,8 @@ _MAX_RHO = 0.999  # a burst at one stamp still counts for something
 
 @dataclass(frozen=True, slots=True)
 class ErrorCorrelation:
-    """Over what time errors stay alike: of a landmark's range, of its bearing, of all that one camera image says.
+    """Over what time errors stay alike: of a landmark's range, of its bearing, of all that one camera image says, of a
+    compass.
 
     0 takes every observation for news.
     """
@@ -25,6 +26,7 @@ class ErrorCorrelation:
     range_s: float = 2.0
     bearing_s: float = 0.5
     image_s: float = 1.0
+    compass_s: float = 2.0
 
 
 class Repetition:
@@ -33,10 +35,13 @@ class Repetition:
     def __init__(self) -> None:
         self._last_ns: dict[int, int] = {}
 
-    def age_s(self, thing: int, stamp_ns: int) -> float:
-        """Seconds since it was last seen, infinity at first; from now on it was last seen at this stamp."""
-        before_ns = self._last_ns.get(thing)
+    def see(self, thing: int, stamp_ns: int) -> None:
+        """From now on it was last seen at this stamp."""
         self._last_ns[thing] = stamp_ns
+
+    def age_s(self, thing: int, stamp_ns: int) -> float:
+        """Seconds since it was last seen, infinity at first."""
+        before_ns = self._last_ns.get(thing)
         return math.inf if before_ns is None else max(stamp_ns - before_ns, 0) * 1e-9
 
 

@@ -8,17 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.base import Estimate, Estimator
+from estimators.base import Estimate, Estimator, MixtureEstimator
 from estimators.smoother import Smoother
 from fieldloc import pose as se2
 from fieldloc.association import Belief
 from fieldloc.camera import Camera
+from fieldloc.detection import Detection
 from fieldloc.errors import FieldlocError
 from fieldloc.factor_builder import FactorBuilder
 from fieldloc.factors import Factor
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Measurement, Odometry
+from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
+from fieldloc.regions import Region, anywhere
 from fieldloc.repetition import ErrorCorrelation
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
@@ -28,6 +31,7 @@ _KINDS: tuple[type[Measurement], ...] = (Odometry, InitialPose, Compass, Landmar
 """What goes first at equal stamps: how the robot moves from there on, what it is told, what it sees."""
 
 _DEFAULT_CORRELATION = ErrorCorrelation()
+_DEFAULT_DETECTION = Detection()
 _START_COVARIANCE = np.diag([0.1, 0.1, np.radians(5.0)]) ** 2
 _PROGRESS_EVERY = 500
 _LATE_NS = 1_000_000_000  # an image's way through a robot is shorter; a longer one is a clock that was set
@@ -119,29 +123,34 @@ class Step:
 class Run:
     """An estimator on its way through a recording.
 
-    start_pose: (3,) at the first measurement, known to about 0.1 m and 5 deg. correlation: how long errors stay alike.
+    start: at the first measurement, a pose (3,) known to about 0.1 m and 5 deg, or a region for an estimator that takes
+    one. correlation: how long errors stay alike. detection: how reliably things are seen.
     """
 
     def __init__(
         self,
         recording: Recording,
         estimator: Estimator,
-        start_pose: FloatArray | None = None,
+        start: FloatArray | Region | None = None,
         correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
+        detection: Detection = _DEFAULT_DETECTION,
     ) -> None:
         self.recording = recording
         self.estimator = estimator
-        self._start_pose = start_pose
+        self._start = start
         self._builder = FactorBuilder(recording.field, recording.camera, correlation)
+        self._mixtures = MixtureBuilder(recording.field, recording.camera, correlation, detection)
         self._unusable: list[str] = []
 
     def steps(self) -> Iterator[Step]:
         """Measurement by measurement, once. FieldlocError where the estimator fails."""
         estimator = self.estimator
         first_ns = self.recording.measurements[0].stamp_ns
-        if self._start_pose is not None:
-            with self._failing(first_ns):
-                estimator.start(Estimate(first_ns, self._start_pose, _START_COVARIANCE))
+        with self._failing(first_ns):
+            if isinstance(estimator, MixtureEstimator) and not isinstance(self._start, np.ndarray):
+                estimator.start_in(self._start or anywhere(self.recording.field), first_ns)
+            elif isinstance(self._start, np.ndarray):
+                estimator.start(Estimate(first_ns, self._start, _START_COVARIANCE))
         for measurement in self.recording.measurements:
             update_s = None
             with self._failing(measurement.stamp_ns):
@@ -150,12 +159,23 @@ class Run:
                 else:
                     before = time.perf_counter()
                     estimator.advance(measurement.stamp_ns)
-                    for factor in _factors(self._builder, measurement, estimator, self._unusable):
-                        estimator.update(factor)
+                    self._observe(measurement)
                     update_s = time.perf_counter() - before
                 if (now := estimator.estimate()) is not None:
                     _check(now)
             yield Step(measurement, now, update_s)
+
+    def _observe(self, measurement: Observation) -> None:
+        estimator = self.estimator
+        if isinstance(estimator, MixtureEstimator):
+            mixture = self._mixtures.build(measurement)
+            if mixture is not None:
+                estimator.observe(mixture)
+                now = estimator.estimate()
+                self._mixtures.remember(mixture, None if now is None else now.pose)
+            return
+        for factor in _factors(self._builder, measurement, estimator, self._unusable):
+            estimator.update(factor)
 
     def trajectory(self) -> tuple[Estimate, ...] | None:
         """The past in the light of all steps taken, None where the estimator cannot look back."""
@@ -188,7 +208,7 @@ class Run:
 def replay(
     recording: Recording,
     estimator: Estimator,
-    start_pose: FloatArray | None = None,
+    start: FloatArray | Region | None = None,
     correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
     progress: Progress = unwatched,
 ) -> Replay:
@@ -197,7 +217,7 @@ def replay(
     FieldlocError if the estimator never got to an estimate, or failed on the way.
     """
     began = time.perf_counter()
-    run = Run(recording, estimator, start_pose, correlation)
+    run = Run(recording, estimator, start, correlation)
     estimates: list[Estimate] = []
     update_s: list[float] = []
     for done, step in enumerate(run.steps()):

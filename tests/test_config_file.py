@@ -58,10 +58,10 @@ def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "settings.toml"
     path.write_text(EVERYTHING)
     assert load_config(path) == Config(
-        MotionNoise(forward_m_per_sqrt_m=0.1, max_hold_s=1.0),
-        Robust(restart_after=6),
-        Particles(count=500, outlier_share=0.1),
-        Graph(cauchy=3.0, node_interval_s=0.0),
+        motion=MotionNoise(forward_m_per_sqrt_m=0.1, max_hold_s=1.0),
+        robust=Robust(restart_after=6),
+        particles=Particles(count=500, outlier_share=0.1),
+        graph=Graph(cauchy=3.0, node_interval_s=0.0),
     )
 
 
@@ -139,5 +139,5 @@ def test_a_file_that_is_missing_or_a_directory_is_named(tmp_path: Path) -> None:
 
 
 def test_every_limit_is_that_of_a_setting_which_exists() -> None:
-    names = {item.name for section in (MotionNoise, Robust, Particles, Graph) for item in fields(section)}
+    names = {item.name for section in fields(Config) for item in fields(getattr(Config(), section.name))}
     assert {*config_file._ABOVE_ZERO, *config_file._BELOW_ONE} <= names

@@ -1,0 +1,124 @@
+"""What an ambiguous observation says about the pose: all of its solutions at once, with weights.
+
+    p(observation | pose) = sum over solutions of p(observation, solution | pose)  +  p(observation | nothing is right)
+
+Posts look alike, lines look alike, a field looks alike from its two halves: so one image or scan gives one factor of
+several solutions, and of one more that says that nothing seen is what it seems to be. Every term is a density of the
+same observation, so terms compare across solutions, across poses and with the last one.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc.factors import Factor
+from fieldloc.pose import FloatArray
+
+IntArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseSolutions:
+    """Whole poses that explain an observation, the likeliest first.
+
+    poses: (k, 3) field_from_robot. covariances: (k, 3, 3) in the robot frame of each. log_weights: (k,) logarithm of
+    the integral over all poses (m^2 rad) of p(observation, solution | pose), so with the posterior's volume in it.
+    ids: (k,) what `MixtureFactor.chosen` takes.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    log_weights: FloatArray
+    ids: IntArray
+
+    @staticmethod
+    def none() -> "PoseSolutions":
+        return PoseSolutions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.intp))
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """Solutions near some poses, each as a quadratic in the robot-frame tangent d at its pose:
+
+        log p(observation, solution | retract(pose, d)) = constant + gradient . d - 0.5 d' information d
+
+    parent: (c,) row of the pose. ids: (c,) what `MixtureFactor.chosen` takes. constant: (c,), gradient: (c, 3),
+    information: (c, 3, 3), which has no inverse where a solution leaves a direction free.
+    covariance: (c, 3, 3) of the tangent before the observation; what is derived below is under it.
+    """
+
+    parent: IntArray
+    ids: IntArray
+    constant: FloatArray
+    gradient: FloatArray
+    information: FloatArray
+    covariance: FloatArray
+
+    @cached_property
+    def _shrink(self) -> FloatArray:
+        """(c, 3, 3) the inverse of 1 + covariance information."""
+        return np.asarray(np.linalg.inv(np.eye(3) + self.covariance @ self.information))
+
+    @cached_property
+    def step(self) -> FloatArray:
+        """(c, 3) mean of the tangent after the observation."""
+        return np.asarray((self._shrink @ self.covariance @ self.gradient[:, :, None])[..., 0])
+
+    @cached_property
+    def updated(self) -> FloatArray:
+        """(c, 3, 3) covariance of the tangent after the observation, still at the parent's pose."""
+        out = self._shrink @ self.covariance
+        return np.asarray(0.5 * (out + np.swapaxes(out, -1, -2)))
+
+    @cached_property
+    def evidence(self) -> FloatArray:
+        """(c,) log p(observation, solution) of a robot that is at the parent's pose up to its covariance."""
+        log_det = -np.linalg.slogdet(self._shrink)[1]
+        return np.asarray(self.constant + 0.5 * np.sum(self.gradient * self.step, axis=1) - 0.5 * log_det)
+
+
+class MixtureFactor(Protocol):
+    """All that one instant's observation can mean."""
+
+    @property
+    def stamp_ns(self) -> int: ...
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether it is the same for a pose and for its copies under the map's symmetries: it tells no sides apart."""
+
+    @property
+    def by_compass(self) -> bool:
+        """Whether it is about the heading plus the compass' offset, which an estimator may know.
+
+        Its poses are then (x, y, heading + offset).
+        """
+
+    @property
+    def log_outlier(self) -> float:
+        """log p(observation | nothing of it is right), the prior probability of that included."""
+
+    @property
+    def log_integral(self) -> float:
+        """Logarithm of the integral of the sum over solutions, without the outlier, over all poses on and about the
+        field (m^2 rad): how likely the observation is for a robot that may be anywhere. May cost as much as
+        `solutions`."""
+
+    def solutions(self) -> PoseSolutions:
+        """All whole poses that explain it: to start from, to start anew from. None where it determines no whole pose.
+        May be slow at first; then it is remembered."""
+
+    def expand(self, poses: FloatArray, covariances: FloatArray) -> Expansion:
+        """The solutions that robots could have seen who are at poses (h, 3) up to covariances (h, 3, 3), robot frame.
+
+        Gated: what a robot there would see once in ten thousand times or less is left out, so a pose may have none.
+        """
+
+    def log_likelihood(self, poses: FloatArray) -> FloatArray:
+        """(...) log p(observation | pose) with all solutions and the outlier, for poses (..., 3)."""
+
+    def chosen(self, solution: int) -> tuple[Factor, ...]:
+        """The solution of that id as plain factors, of errors independent of each other."""

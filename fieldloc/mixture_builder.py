@@ -1,0 +1,110 @@
+"""Measurements and a map to mixtures: all that each of them can mean, whatever is known of the robot's place."""
+
+from collections import Counter
+from collections.abc import Iterable
+
+import numpy as np
+
+from fieldloc import pose as se2
+from fieldloc.camera import Camera
+from fieldloc.detection import Detection
+from fieldloc.field import FieldMap
+from fieldloc.heading_mixture import heading_mixture
+from fieldloc.image_mixture import image_mixture
+from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan
+from fieldloc.mixture import MixtureFactor
+from fieldloc.pose import FloatArray
+from fieldloc.regions import anywhere
+from fieldloc.repetition import ErrorCorrelation, Repetition, inflation
+from fieldloc.scan_mixture import ScanMixture, scan_mixture
+from fieldloc.solution_mixture import SolutionMixture
+from fieldloc.stacks import PoseStack
+
+_DEFAULT_CORRELATION = ErrorCorrelation()
+_DEFAULT_DETECTION = Detection()
+_ANY_IMAGE, _COMPASS = -1, -2  # beside the map's indices
+
+
+class MixtureBuilder:
+    """One for a log: knows the map and the camera, remembers what was seen lately, counts what it could not use."""
+
+    def __init__(
+        self,
+        field: FieldMap,
+        camera: Camera | None = None,
+        correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
+        detection: Detection = _DEFAULT_DETECTION,
+    ) -> None:
+        self._field = field
+        self._camera = camera
+        self._correlation = correlation
+        self._detection = detection
+        self._repetition = Repetition()
+        self._unknown: Counter[str] = Counter()
+        self._images_without_camera = 0
+
+    def warnings(self) -> tuple[str, ...]:
+        """What could not be used so far."""
+        out = []
+        if self._unknown:
+            labels = ", ".join(sorted(self._unknown))
+            count = self._unknown.total()
+            out.append(f"{count} observations left out: landmark {labels} is not on the map {self._field.name}")
+        if self._images_without_camera:
+            out.append(f"{self._images_without_camera} images left out: the log says nothing about the camera")
+        return tuple(out)
+
+    def build(self, measurement: LandmarkScan | ImageFeatures | Compass | InitialPose) -> MixtureFactor | None:
+        """None for what says nothing: no landmark of the map, no line, no camera."""
+        stamp_ns = measurement.stamp_ns
+        match measurement:
+            case LandmarkScan():
+                self._count_unknown(measurement.labels)
+                return scan_mixture(measurement, self._field, self._detection, self._wider_landmarks(stamp_ns))
+            case ImageFeatures():
+                if self._camera is None:
+                    self._images_without_camera += 1
+                    return None
+                self._count_unknown(post.label for post in measurement.posts)
+                wider = self._wider(_ANY_IMAGE, stamp_ns, self._correlation.image_s)
+                return image_mixture(measurement, self._camera, self._field, self._detection, wider)
+            case Compass():
+                return heading_mixture(measurement, self._wider(_COMPASS, stamp_ns, self._correlation.compass_s))
+            case InitialPose():
+                return self._told(measurement)
+
+    def remember(self, mixture: MixtureFactor, pose: FloatArray | None) -> None:
+        """What was seen, by where the robot (3,) is thought to be now: seen again soon, it is little news."""
+        match mixture:
+            case ScanMixture():
+                for index in mixture.landmarks_seen(pose) if pose is not None else ():
+                    self._repetition.see(index, mixture.stamp_ns)
+            case _ if mixture.by_compass:
+                self._repetition.see(_COMPASS, mixture.stamp_ns)
+            case _:
+                self._repetition.see(_ANY_IMAGE, mixture.stamp_ns)
+
+    def _told(self, told: InitialPose) -> MixtureFactor:
+        pose = told.pose[None]
+        stack = PoseStack(pose, se2.rotate_covariance(told.covariance[None], -pose[:, 2]))
+        region = anywhere(self._field)
+        wrong = np.log(self._detection.nothing_right)
+        return SolutionMixture(
+            told.stamp_ns,
+            ((stack, np.log1p([-self._detection.nothing_right])),),
+            float(wrong) - region.log_volume,
+            symmetric=not len(self._field.symmetries),
+            area_m2=float(np.exp(region.log_volume)) / (2 * np.pi),
+        )
+
+    def _count_unknown(self, labels: Iterable[str | None]) -> None:
+        self._unknown.update(label for label in labels if label is not None and self._field.index_of(label) is None)
+
+    def _wider(self, thing: int, stamp_ns: int, correlation_s: float) -> float:
+        return float(inflation(np.array(self._repetition.age_s(thing, stamp_ns)), correlation_s))
+
+    def _wider_landmarks(self, stamp_ns: int) -> FloatArray:
+        """(m, 2) by how much to widen the variances of range and bearing of each landmark on the map."""
+        age_s = np.array([self._repetition.age_s(index, stamp_ns) for index in range(len(self._field.landmarks))])
+        by_range = inflation(age_s, self._correlation.range_s)
+        return np.stack([by_range, inflation(age_s, self._correlation.bearing_s)], axis=-1)
