@@ -1,6 +1,6 @@
 """Where a robot may be when a pose is not known: a half, a touch-line, the whole field."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,11 +16,13 @@ class Region:
     """Rectangles in the field, each with a range of headings; the robot is in any of them alike.
 
     boxes: (b, 4) x_min, y_min, x_max, y_max. headings: (b, 2) middle and half width in radians, pi for any heading.
+    symmetries: (s, 3) the poses that map the field onto itself, as FieldMap.symmetries.
     """
 
     name: str
     boxes: FloatArray
     headings: FloatArray
+    symmetries: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def log_volume(self) -> float:
@@ -38,8 +40,8 @@ class Region:
         return np.asarray(-0.5 * misfit.min(axis=-1) - self.log_volume)
 
 
-def anywhere(field: FieldMap) -> Region:
+def anywhere(field_map: FieldMap) -> Region:
     """On the map and a metre around it."""
-    x_min, y_min, x_max, y_max = field.bounds
+    x_min, y_min, x_max, y_max = field_map.bounds
     box = np.array([[x_min - _AROUND_M, y_min - _AROUND_M, x_max + _AROUND_M, y_max + _AROUND_M]])
-    return Region("anywhere", box, np.array([[0.0, np.pi]]))
+    return Region("anywhere", box, np.array([[0.0, np.pi]]), field_map.symmetries)
