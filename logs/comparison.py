@@ -47,7 +47,7 @@ def compare(
     warnings = dict.fromkeys(recording.warnings)
     for name, make in estimators.items():
         try:
-            done = replay(recording, make(config), start_pose, config.correlation, partial(_of, progress, name))
+            done = replay(recording, make(config), start_pose, config, partial(_of, progress, name))
         except FieldlocError as error:
             runs.append(RunResult(name, from_estimates(()), np.zeros(0), 0.0))
             failures.append(f"{name}: {error}")

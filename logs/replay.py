@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.base import Estimate, Estimator, MixtureEstimator
+from estimators.config import Config
 from estimators.smoother import Smoother
 from fieldloc import pose as se2
 from fieldloc.association import Belief
 from fieldloc.camera import Camera
-from fieldloc.detection import Detection
 from fieldloc.errors import FieldlocError
 from fieldloc.factor_builder import FactorBuilder
 from fieldloc.factors import Factor
@@ -22,7 +22,6 @@ from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkS
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
 from fieldloc.regions import Region, anywhere
-from fieldloc.repetition import ErrorCorrelation
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
 from logs.schema import seconds
@@ -30,8 +29,7 @@ from logs.schema import seconds
 _KINDS: tuple[type[Measurement], ...] = (Odometry, InitialPose, Compass, LandmarkScan, ImageFeatures)
 """What goes first at equal stamps: how the robot moves from there on, what it is told, what it sees."""
 
-_DEFAULT_CORRELATION = ErrorCorrelation()
-_DEFAULT_DETECTION = Detection()
+_DEFAULTS = Config()
 _START_COVARIANCE = np.diag([0.1, 0.1, np.radians(5.0)]) ** 2
 _PROGRESS_EVERY = 500
 _LATE_NS = 1_000_000_000  # an image's way through a robot is shorter; a longer one is a clock that was set
@@ -124,7 +122,7 @@ class Run:
     """An estimator on its way through a recording.
 
     start: at the first measurement, a pose (3,) known to about 0.1 m and 5 deg, or a region for an estimator that takes
-    one. correlation: how long errors stay alike. detection: how reliably things are seen.
+    one. config: how long errors stay alike, how reliably things are seen.
     """
 
     def __init__(
@@ -132,14 +130,13 @@ class Run:
         recording: Recording,
         estimator: Estimator,
         start: FloatArray | Region | None = None,
-        correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
-        detection: Detection = _DEFAULT_DETECTION,
+        config: Config = _DEFAULTS,
     ) -> None:
         self.recording = recording
         self.estimator = estimator
         self._start = start
-        self._builder = FactorBuilder(recording.field, recording.camera, correlation)
-        self._mixtures = MixtureBuilder(recording.field, recording.camera, correlation, detection)
+        self._builder = FactorBuilder(recording.field, recording.camera, config.correlation)
+        self._mixtures = MixtureBuilder(recording.field, recording.camera, config.correlation, config.detection)
         self._unusable: list[str] = []
 
     def steps(self) -> Iterator[Step]:
@@ -209,7 +206,7 @@ def replay(
     recording: Recording,
     estimator: Estimator,
     start: FloatArray | Region | None = None,
-    correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
+    config: Config = _DEFAULTS,
     progress: Progress = unwatched,
 ) -> Replay:
     """Feed the recording to the estimator, as `Run` does.
@@ -217,7 +214,7 @@ def replay(
     FieldlocError if the estimator never got to an estimate, or failed on the way.
     """
     began = time.perf_counter()
-    run = Run(recording, estimator, start, correlation)
+    run = Run(recording, estimator, start, config)
     estimates: list[Estimate] = []
     update_s: list[float] = []
     for done, step in enumerate(run.steps()):

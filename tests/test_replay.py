@@ -341,7 +341,9 @@ def test_a_smoother_that_cannot_solve_says_so(tmp_path: Path) -> None:
 
 
 def test_how_long_errors_stay_alike_decides_what_a_second_sight_is_worth() -> None:
-    sure, unsure = (replay(drive(), Ekf(Config()), correlation=ErrorCorrelation(s, s, s)) for s in (0.0, 10.0))
+    sure, unsure = (
+        replay(drive(), Ekf(Config()), config=Config(correlation=ErrorCorrelation(s, s, s))) for s in (0.0, 10.0)
+    )
     for one, other in zip(sure.estimates[4:], unsure.estimates[4:], strict=True):
         assert np.linalg.det(one.covariance) < 0.1 * np.linalg.det(other.covariance)
 

@@ -83,7 +83,7 @@ def _localize(options: argparse.Namespace) -> None:
     out = output_file(options.output or RUNS / f"{first.stem}-{name}.mcap", *options.logs)
     with warning_of(log), bar(options, name) as progress:
         recording = load_recording(log, field, progress)
-        done = replay(recording, ALL[name](config), options.start, config.correlation, progress)
+        done = replay(recording, ALL[name](config), options.start, config, progress)
         metadata = {
             "estimator": name,
             "log": os.fsencode(first.name).decode(errors="replace"),

@@ -64,7 +64,7 @@ def _serve(options: argparse.Namespace) -> None:
         if options.estimator:
             with bar(options, "reading") as progress:
                 recording = load_recording(log, field, progress)
-            run = Run(recording, ALL[options.estimator](config), options.start, config.correlation)
+            run = Run(recording, ALL[options.estimator](config), options.start, config)
             warn(recording.warnings)
 
         def ready(address: Address) -> None:
