@@ -1,5 +1,6 @@
 """The settings of all estimators in one frozen tree: the defaults, the TOML file, what is stored with results."""
 
+import math
 from dataclasses import astuple, dataclass, field
 
 import numpy as np
@@ -96,6 +97,23 @@ class Calibration:
 
 
 @dataclass(frozen=True, slots=True)
+class Compass:
+    """What all of a compass' readings get wrong alike: iron on the robot, a magnetic north that is not as stated.
+
+    It wanders about zero with the standard deviation offset_sigma_rad and stays alike over offset_s, and is estimated
+    along with the poses.
+    """
+
+    offset_sigma_rad: float = 0.2
+    offset_s: float = 20.0
+
+    def wander(self, duration_s: float) -> tuple[float, float]:
+        """What is left of the offset after a time, as a share, and the variance (rad^2) that it has gained by then."""
+        left = math.exp(-duration_s / self.offset_s)
+        return left, self.offset_sigma_rad**2 * (1.0 - left**2)
+
+
+@dataclass(frozen=True, slots=True)
 class Config:
     motion: MotionNoise = field(default_factory=MotionNoise)
     robust: Robust = field(default_factory=Robust)
@@ -105,3 +123,4 @@ class Config:
     calibration: Calibration = field(default_factory=Calibration)
     correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     detection: Detection = field(default_factory=Detection)
+    compass: Compass = field(default_factory=Compass)

@@ -5,16 +5,18 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TypeVar
 
-from estimators.config import Calibration, Config, Graph, Mixture, MotionNoise, Particles, Robust
+from estimators.config import Calibration, Compass, Config, Graph, Mixture, MotionNoise, Particles, Robust
 from fieldloc.detection import Detection
 from fieldloc.errors import FieldlocError
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.toml_table import TomlTable
 
-_ABOVE_ZERO = ("nis_per_dof", "restart_after", "count", "cauchy", "max_hypotheses")
+_ABOVE_ZERO = ("nis_per_dof", "restart_after", "count", "cauchy", "max_hypotheses", "offset_s")
 _BELOW_ONE = ("outlier_share", "prune_below", "post", "clutter", "nothing_right")
 
-Section = TypeVar("Section", MotionNoise, Robust, Mixture, Particles, Graph, Calibration, ErrorCorrelation, Detection)
+Section = TypeVar(
+    "Section", MotionNoise, Robust, Mixture, Particles, Graph, Calibration, ErrorCorrelation, Detection, Compass
+)
 
 
 def load_config(path: Path) -> Config:

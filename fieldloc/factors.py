@@ -72,11 +72,17 @@ class LandmarkFactor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeadingFactor:
-    """The robot's heading in the field frame. covariance: (1, 1) rad^2."""
+    """The robot's heading in the field frame. covariance: (1, 1) rad^2.
+
+    by_compass: it is a magnetometer's, so it also holds an offset that stays alike for a while. wider: by how much the
+    covariance was widened for being much the same as the last one's; whether it is right at all shows without that.
+    """
 
     stamp_ns: int
     heading_rad: float
     covariance: FloatArray
+    by_compass: bool = False
+    wider: float = 1.0
 
     def error(self, poses: FloatArray) -> FloatArray:
         return se2.wrap(poses[..., 2:3] - self.heading_rad)
