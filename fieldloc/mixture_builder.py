@@ -39,6 +39,7 @@ class MixtureBuilder:
         self._camera = camera
         self._correlation = correlation
         self._detection = detection
+        self._area_m2 = float(np.exp(anywhere(field).log_volume)) / (2 * np.pi)
         self._repetition = Repetition()
         self._unknown: Counter[str] = Counter()
         self._images_without_camera = 0
@@ -69,7 +70,8 @@ class MixtureBuilder:
                 wider = self._wider(_ANY_IMAGE, stamp_ns, self._correlation.image_s)
                 return image_mixture(measurement, self._camera, self._field, self._detection, wider)
             case Compass():
-                return heading_mixture(measurement, self._wider(_COMPASS, stamp_ns, self._correlation.compass_s))
+                wider = self._wider(_COMPASS, stamp_ns, self._correlation.compass_s)
+                return heading_mixture(measurement, wider, self._area_m2)
             case InitialPose():
                 return self._told(measurement)
 
@@ -80,21 +82,21 @@ class MixtureBuilder:
                 for index in mixture.landmarks_seen(pose) if pose is not None else ():
                     self._repetition.see(index, mixture.stamp_ns)
             case _ if mixture.by_compass:
-                self._repetition.see(_COMPASS, mixture.stamp_ns)
+                if pose is not None:  # a heading alone is lost on a robot that knows nothing
+                    self._repetition.see(_COMPASS, mixture.stamp_ns)
             case _:
                 self._repetition.see(_ANY_IMAGE, mixture.stamp_ns)
 
     def _told(self, told: InitialPose) -> MixtureFactor:
         pose = told.pose[None]
         stack = PoseStack(pose, se2.rotate_covariance(told.covariance[None], -pose[:, 2]))
-        region = anywhere(self._field)
         wrong = np.log(self._detection.nothing_right)
         return SolutionMixture(
             told.stamp_ns,
             ((stack, np.log1p([-self._detection.nothing_right])),),
-            float(wrong) - region.log_volume,
+            float(wrong - np.log(2 * np.pi * self._area_m2)),
             symmetric=not len(self._field.symmetries),
-            area_m2=float(np.exp(region.log_volume)) / (2 * np.pi),
+            area_m2=self._area_m2,
         )
 
     def _count_unknown(self, labels: Iterable[str | None]) -> None:
