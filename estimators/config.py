@@ -69,18 +69,6 @@ class Mixture:
 
 
 @dataclass(frozen=True, slots=True)
-class Compass:
-    """What is believed of the offset between a compass' reading and the heading, beside the reading's own noise.
-
-    Iron on the robot and in the floor: offset_sigma_rad at the start, and offset_rad_per_sqrt_s more as time goes by.
-    It is estimated along with the pose.
-    """
-
-    offset_sigma_rad: float = 0.35
-    offset_rad_per_sqrt_s: float = 0.005
-
-
-@dataclass(frozen=True, slots=True)
 class Graph:
     """node_interval_s: a pose at least this often, besides one at each factor. cauchy: scale of the robust kernel, in
     sigmas of a factor."""
@@ -135,5 +123,4 @@ class Config:
     calibration: Calibration = field(default_factory=Calibration)
     correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     detection: Detection = field(default_factory=Detection)
-    compass: Compass = field(default_factory=Compass)
     compass: Compass = field(default_factory=Compass)
