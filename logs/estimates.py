@@ -55,16 +55,17 @@ def write_estimates(
     strange = result_streams.not_ros2(merge) if ros2 and merge is not None else None
     streams = []
     if not ros2 or strange:
-        own = [result_streams.own_messages(recording, estimates, begin_ns, offset_ns)]
-        if all(m.stamp_ns in STAMPS_NS for m in (recording.measurements[0], recording.measurements[-1], *estimates)):
+        own = result_streams.own_streams(recording, done, begin_ns, offset_ns)
+        told = (recording.measurements[0], recording.measurements[-1], *estimates, *done.ambiguities, *done.events)
+        if all(one.stamp_ns in STAMPS_NS for one in told):
             frames = BESIDE_OTHERS if ros2 or others else Frames()
-            own += result_streams.foxglove_streams(recording, estimates, odom, begin_ns, offset_ns, frames)
+            own += result_streams.foxglove_streams(recording, done, odom, begin_ns, offset_ns, frames)
         else:
             warnings.append(f"{path}: without messages for Foxglove, whose stamps end with the year 2106")
         streams += [_or_fail(stream, f"{path}: not written: the estimator gave a broken estimate") for stream in own]
     if ros2:
-        stream = result_streams.ros2_stream(estimates, odom, offset_ns, others)
-        streams.append(_or_fail(stream, f"{path}: not written: no ROS 2 messages can be made"))
+        of_ros = result_streams.ros2_streams(done, odom, offset_ns, others)
+        streams += [_or_fail(stream, f"{path}: not written: no ROS 2 messages can be made") for stream in of_ros]
     if strange:
         warnings.append(f"{path}: rosbag2 and rosbags cannot open it, as {strange} of the merged log is not ROS 2")
     total = len(estimates)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.base import Estimate, Estimator, MixtureEstimator
+from estimators.base import Ambiguity, Ambiguous, Estimate, Estimator, Event, MixtureEstimator
 from estimators.config import Config
 from estimators.smoother import Smoother
 from fieldloc import pose as se2
@@ -22,6 +22,7 @@ from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkS
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
 from fieldloc.regions import Region, anywhere
+from logs.kept import KeptAmbiguities
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
 from logs.schema import seconds
@@ -58,12 +59,17 @@ class Recording:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
-    """Estimates by stamp; seconds that each measurement other than odometry took (k,); what could not be used."""
+    """Estimates by stamp; seconds that each measurement other than odometry took (k,); what could not be used.
+
+    ambiguities, events: what an estimator said of its hypotheses while it ran (`KeptAmbiguities`), if it has any.
+    """
 
     estimates: tuple[Estimate, ...]
     update_s: FloatArray
     total_s: float
     warnings: tuple[str, ...]
+    ambiguities: tuple[Ambiguity, ...] = ()
+    events: tuple[Event, ...] = ()
 
 
 def load_recording(log: LogFile, field: FieldMap | None = None, progress: Progress = unwatched) -> Recording:
@@ -217,9 +223,13 @@ def replay(
     run = Run(recording, estimator, start, config)
     estimates: list[Estimate] = []
     update_s: list[float] = []
+    ambiguous = estimator if isinstance(estimator, Ambiguous) else None
+    kept = KeptAmbiguities()
     for done, step in enumerate(run.steps()):
         if step.update_s is not None:
             update_s.append(step.update_s)
+            if ambiguous is not None and (now := ambiguous.ambiguity()) is not None:
+                kept.take(now)
         if step.estimate is not None:
             if estimates and estimates[-1].stamp_ns == step.estimate.stamp_ns:
                 estimates.pop()
@@ -231,7 +241,9 @@ def replay(
         estimates = list(run.trajectory() or ())
     if not estimates:
         raise FieldlocError(f"{recording.name}: {_never_started(recording)}")
-    return Replay(tuple(estimates), np.array(update_s), time.perf_counter() - began, run.warnings)
+    events = () if ambiguous is None else tuple(sorted(ambiguous.events, key=lambda event: event.stamp_ns))
+    total_s = time.perf_counter() - began
+    return Replay(tuple(estimates), np.array(update_s), total_s, run.warnings, kept.all(), events)
 
 
 def _factors(

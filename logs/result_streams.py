@@ -4,20 +4,21 @@ offset_ns: log time minus stamp, where the log's clock is not that of the stamps
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 
-from estimators.base import Estimate
+from estimators.base import Ambiguity, Estimate, Event
 from fieldloc.measurements import Compass, ImageFeatures, LandmarkScan, Odometry
 from fieldloc.pose import FloatArray
 from logs.foxglove.topics import BESIDE_OTHERS, PREFIX, Frames
 from logs.reader import LogFile
-from logs.replay import Recording
+from logs.replay import Recording, Replay
 from logs.schema import BY_KIND, BY_NAME, MESSAGE_ENCODING, SCHEMA_ENCODING, TOPICS, Record, encode, topic_of
 from logs.source import Container, Encoded, RawMessage, Source
 
 _SAMPLES = 100  # of each kind of measurement, to compare clocks
+_OURS_IF_IN_OUR_WORDS = tuple(TOPICS[role] for role in ("field", "hypotheses", "events"))  # others may mean anything
 _SAME_CLOCK_NS = 1_000_000_000  # a message's way to the log is shorter
 
 
@@ -42,7 +43,7 @@ def kept_channels(merge: Container) -> dict[int, Source]:
 
 
 def _is_result(source: Source) -> bool:
-    if source.topic == TOPICS["field"]:
+    if source.topic in _OURS_IF_IN_OUR_WORDS:
         return source.schema_name in BY_NAME
     if source.topic == "/tf" and source.message_encoding == "cdr":
         from logs.ros.results import sources
@@ -66,15 +67,24 @@ def kept_messages(merge: Container) -> Iterator[tuple[Source, RawMessage]]:
         yield sources[message.channel], message
 
 
-def own_messages(
-    recording: Recording, estimates: Sequence[Estimate], begin_ns: int, offset_ns: int
+def own_streams(recording: Recording, done: Replay, begin_ns: int, offset_ns: int) -> list[Iterator[Encoded]]:
+    """Map and estimates, hypotheses, events, as fieldloc reads them. ValueError for what no reader would accept."""
+    the_map = Encoded(own_source(recording.field), begin_ns, encode(recording.field))
+    return [
+        chain([the_map], _as_logged(done.estimates, offset_ns)),
+        _as_logged(done.ambiguities, offset_ns),
+        _as_logged(done.events, offset_ns),
+    ]
+
+
+def _as_logged(
+    records: Sequence[Estimate] | Sequence[Ambiguity] | Sequence[Event], offset_ns: int
 ) -> Iterator[Encoded]:
-    """The map and the estimates as fieldloc reads them. ValueError for an estimate that no reader would accept."""
-    yield Encoded(own_source(recording.field), begin_ns, encode(recording.field))
+    """Of one kind."""
     source: Source | None = None
-    for estimate in estimates:
-        source = source or own_source(estimate)
-        yield Encoded(source, int(estimate.stamp_ns) + offset_ns, encode(estimate))
+    for record in records:
+        source = source or own_source(record)
+        yield Encoded(source, int(record.stamp_ns) + offset_ns, encode(record))
 
 
 def own_source(record: Record) -> Source:
@@ -85,19 +95,22 @@ def own_source(record: Record) -> Source:
 
 def foxglove_streams(
     recording: Recording,
-    estimates: Sequence[Estimate],
+    done: Replay,
     odom_from_robot: FloatArray,
     begin_ns: int,
     offset_ns: int,
     frames: Frames,
 ) -> list[Iterator[Encoded]]:
     """What Foxglove and Lichtblick draw of it. ValueError for an estimate of a wrong shape."""
+    from logs.foxglove.hypotheses import ambiguities_messages, event_messages
     from logs.foxglove.results import estimates_messages
 
     return [
-        _at_the_beginning(recording, estimates, begin_ns, frames),
-        _shifted(estimates_messages(estimates, odom_from_robot, frames), offset_ns),
-        _shifted(_sights(recording, estimates, frames), offset_ns),
+        _at_the_beginning(recording, done.estimates, begin_ns, frames),
+        _shifted(estimates_messages(done.estimates, odom_from_robot, frames), offset_ns),
+        _shifted(ambiguities_messages(done.ambiguities, frames), offset_ns),
+        _shifted(event_messages(done.events), offset_ns),
+        _shifted(_sights(recording, done.estimates, frames), offset_ns),
     ]
 
 
@@ -112,18 +125,23 @@ def _at_the_beginning(
     yield from (m._replace(log_time_ns=begin_ns) for m in trajectory_messages(estimates, first_ns, frames))
 
 
-def ros2_stream(
-    estimates: Sequence[Estimate], odom_from_robot: FloatArray, offset_ns: int, beside_others: bool
-) -> Iterator[Encoded]:
+def ros2_streams(
+    done: Replay, odom_from_robot: FloatArray, offset_ns: int, beside_others: bool
+) -> list[Iterator[Encoded]]:
     """What ROS 2 tools know. ValueError where its stamps end, in 2038.
 
     beside_others: the file has someone else's transforms, so that ours must not name the same frames.
     """
+    from logs.ros.hypotheses import pose_arrays
     from logs.ros.results import Frames, ros2_messages
 
     frames = Frames("map", *BESIDE_OTHERS[1:]) if beside_others else Frames()
-    for estimate, odom in zip(estimates, odom_from_robot, strict=True):
-        yield from _shifted(ros2_messages(estimate, odom, frames), offset_ns)
+
+    def estimates() -> Iterator[Encoded]:
+        for estimate, odom in zip(done.estimates, odom_from_robot, strict=True):
+            yield from ros2_messages(estimate, odom, frames)
+
+    return [_shifted(estimates(), offset_ns), _shifted(pose_arrays(done.ambiguities, frames), offset_ns)]
 
 
 def _sights(recording: Recording, estimates: Sequence[Estimate], frames: Frames) -> Iterator[Encoded]:

@@ -12,19 +12,19 @@ from typing import TypeVar
 
 import msgspec
 
-from estimators.base import Estimate
+from estimators.base import Ambiguity, Estimate, Event
 from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Odometry, Truth
-from logs.messages import camera, image, landmarks, motion
+from logs.messages import ambiguity, camera, image, landmarks, motion
 from logs.messages.batch import Odd
 from logs.messages.fields import BadField, JsonObject
 
 MESSAGE_ENCODING = "json"
 SCHEMA_ENCODING = "jsonschema"
 
-Stamped = Odometry | ImageFeatures | LandmarkScan | Compass | Truth | Estimate | InitialPose
+Stamped = Odometry | ImageFeatures | LandmarkScan | Compass | Truth | Estimate | InitialPose | Ambiguity | Event
 Record = Stamped | Camera | FieldMap
 R = TypeVar("R", bound=Record)
 
@@ -129,6 +129,14 @@ SCHEMAS = (
         motion.initial_pose_from_json,
         motion.initial_pose_batch,
     ),
+    _schema(
+        "hypotheses",
+        Ambiguity,
+        ambiguity.AMBIGUITY_SCHEMA,
+        ambiguity.ambiguity_to_json,
+        ambiguity.ambiguity_from_json,
+    ),
+    _schema("events", Event, ambiguity.EVENT_SCHEMA, ambiguity.event_to_json, ambiguity.event_from_json),
     _schema("field", FieldMap, landmarks.FIELD_MAP_SCHEMA, landmarks.field_map_to_json, landmarks.field_map_from_json),
 )
 BY_NAME: Mapping[str, Schema] = MappingProxyType({schema.name: schema for schema in SCHEMAS})

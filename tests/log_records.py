@@ -1,12 +1,13 @@
 """Hypothesis strategies for every record that a log can hold, and what it means for two of them to be the same."""
 
 from dataclasses import fields, is_dataclass
+from typing import get_args
 
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from estimators.base import Estimate
+from estimators.base import Ambiguity, Estimate, Event, EventKind, Hypothesis
 from fieldloc.camera import Camera
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import (
@@ -91,6 +92,7 @@ _CAMERAS = st.builds(
     FINITE,
     st.just(()) | st.tuples(*[st.floats(-0.5, 0.5)] * 4),
 )
+_HYPOTHESES = st.builds(Hypothesis, st.floats(0.0, 0.2), vectors(3), covariances(3), st.integers(0, 2**53))
 BY_KIND = {
     Odometry: st.builds(Odometry, STAMPS, vectors(3), st.none() | covariances(3)),
     Camera: _CAMERAS,
@@ -106,6 +108,10 @@ BY_KIND = {
     Truth: st.builds(Truth, STAMPS, vectors(3)),
     Estimate: st.builds(Estimate, STAMPS, vectors(3), covariances(3)),
     InitialPose: st.builds(InitialPose, STAMPS, vectors(3), covariances(3)),
+    Ambiguity: st.builds(
+        Ambiguity, STAMPS, st.lists(_HYPOTHESES, max_size=3).map(tuple), st.floats(0.0, 1.0), st.floats(0.0, 0.4)
+    ),
+    Event: st.builds(Event, STAMPS, st.sampled_from(get_args(EventKind)), st.text(max_size=8)),
     FieldMap: maps(),
 }
 

@@ -4,14 +4,16 @@ import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import log_records
 import mcap.reader
 import numpy as np
 import pytest
 from foxglove_wire import strictly
 from mcap_protobuf.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from two_minds import ambiguity
 
-from estimators.base import Estimate
+from estimators.base import Ambiguity, Estimate, Event
 from fieldloc import pose as se2
 from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
@@ -75,8 +77,15 @@ def done(of=None):
     return Replay(estimates() if of is None else tuple(of), np.zeros(0), 1.0, ())
 
 
-def write(path, *, of=None, recorded=None, **options):
-    return write_estimates(path, recorded or recording(), done(of), {"estimator": "ekf"}, **options)
+def unsure():
+    """A run with two hypotheses, then one, ten times a second."""
+    said = [ambiguity(ns(t), {1: 0.7, 2: 0.295, 3: 0.005} if t < 1 else {1: 1.0}, 0.3) for t in np.arange(0.1, 2, 0.1)]
+    events = (Event(ns(0.1), "start", "found"), Event(ns(1.0), "decision", "one is left \u2713"))
+    return replace(done(), ambiguities=tuple(said), events=events)
+
+
+def write(path, *, of=None, recorded=None, run=None, **options):
+    return write_estimates(path, recorded or recording(), run or done(of), {"estimator": "ekf"}, **options)
 
 
 def raw(path):
@@ -395,3 +404,84 @@ def test_reading_a_log_does_not_import_foxglove():
     )
     out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+# -- hypotheses --------------------------------------------------------------------------------------------------------
+
+
+def test_hypotheses_and_events_come_back_bit_by_bit(tmp_path):
+    assert write(tmp_path / "out.mcap", run=unsure()) == ()
+    log = LogFile(tmp_path / "out.mcap")
+    for kind, told in ((Ambiguity, unsure().ambiguities), (Event, unsure().events)):
+        back = list(log.records(kind))
+        assert len(back) == len(told)
+        assert all(map(log_records.same, back, told))
+    assert log.warnings == ()
+
+
+def test_without_hypotheses_a_result_has_no_topic_for_them(tmp_path):
+    write(tmp_path / "out.mcap")
+    assert not {"/hypotheses", "/events", topics.HYPOTHESES, topics.WEIGHTS, topics.EVENTS} & set(
+        counts(tmp_path / "out.mcap")
+    )
+
+
+def foxglove(path, topic):
+    container = open_container(path)
+    return [
+        strictly(Encoded(container.sources[m.channel], m.log_time_ns, m.data))
+        for m in container.messages([n for n, s in container.sources.items() if s.topic == topic])
+    ]
+
+
+def test_hypotheses_are_arrows_the_likeliest_first(tmp_path):
+    write(tmp_path / "out.mcap", run=unsure(), offset_ns=5)
+    path = tmp_path / "out.mcap"
+    assert [m.log_time_ns for m in on(path, topics.HYPOTHESES)] == [a.stamp_ns + 5 for a in unsure().ambiguities]
+    assert [m.log_time_ns for m in on(path, "/hypotheses")] == [a.stamp_ns + 5 for a in unsure().ambiguities]
+    first = foxglove(path, topics.HYPOTHESES)[0]
+    assert [pose.position.x for pose in first.poses] == [1.0, 2.0]  # not the one of 0.5 %
+    arrows = foxglove(path, topics.WEIGHTS)[0].entities[0].arrows
+    assert [arrow.color.a for arrow in arrows] == pytest.approx([1.0, 0.1 + 0.9 * 0.295 / 0.7])
+
+
+def test_events_are_lines_of_a_log_panel(tmp_path):
+    write(tmp_path / "out.mcap", run=unsure())
+    lines = foxglove(tmp_path / "out.mcap", topics.EVENTS)
+    assert [(line.name, line.message) for line in lines] == [("start", "found"), ("decision", "one is left \u2713")]
+    assert [line.level == line.INFO for line in lines] == [False, True]
+
+
+def test_earlier_hypotheses_give_way_and_what_others_call_so_stays(tmp_path):
+    other = Source("/events", "json", "someone.Event", "jsonschema", b"{}")
+    merge = Input({1: other}, [RawMessage(1, ns(0.5), ns(0.5), 0, b"{}")])
+    write(tmp_path / "first.mcap", run=unsure(), merge=merge)
+    write(tmp_path / "second.mcap", merge=open_container(tmp_path / "first.mcap"))
+    per_topic = counts(tmp_path / "second.mcap")
+    assert per_topic["/events"] == 1
+    assert not {"/hypotheses", topics.HYPOTHESES, topics.WEIGHTS, topics.EVENTS} & set(per_topic)
+    assert list(LogFile(tmp_path / "first.mcap").records(Event)) == list(unsure().events)
+
+
+def test_for_ros_2_hypotheses_are_an_array_of_poses(tmp_path):
+    write(tmp_path / "out.mcap", run=unsure(), ros2=True)
+    with AnyReader([tmp_path / "out.mcap"]) as bag:
+        arrays = [
+            bag.deserialize(data, connection.msgtype)
+            for connection, _, data in bag.messages()
+            if connection.topic == "/fieldloc/hypotheses"
+        ]
+    assert [len(array.poses) for array in arrays] == [2] * 9 + [1] * 10
+    for array, told in zip(arrays, unsure().ambiguities, strict=True):
+        assert array.header.frame_id == "map"
+        assert array.header.stamp.sec * SECOND + array.header.stamp.nanosec == told.stamp_ns
+        for pose, one in zip(array.poses, told.hypotheses, strict=False):
+            assert (pose.position.x, pose.position.y) == tuple(one.pose[:2])
+            assert 2 * np.arctan2(pose.orientation.z, pose.orientation.w) == pytest.approx(one.pose[2])
+
+
+def test_a_hypothesis_that_no_reader_would_accept_is_not_written(tmp_path):
+    broken = replace(unsure(), ambiguities=(ambiguity(ns(1.0), {1: 1.5}),))
+    with pytest.raises(FieldlocError, match=r"hypotheses\[0\]\.weight is 1\.5, must be from 0 to 1"):
+        write(tmp_path / "out.mcap", run=broken)
+    assert list(tmp_path.iterdir()) == []

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from real_logs import sample_messages, without, write
+from two_minds import InTwoMinds
 
 from estimators.base import Estimate, Innovation
 from estimators.config import Config
@@ -406,3 +407,23 @@ def test_poses_stay_what_they_were_when_they_were_given(tmp_path: Path) -> None:
         first = replay(half, make(Config())).estimates[:-1]
         poses: list[FloatArray] = [e.pose for e in whole[: len(first)]]
         assert np.array_equal(poses, [e.pose for e in first])
+
+
+# -- hypotheses --------------------------------------------------------------------------------------------------------
+
+
+def test_what_an_estimator_says_of_its_hypotheses_comes_with_its_estimates() -> None:
+    done = replay(drive(), InTwoMinds(Config()))
+    stamps = [one.stamp_ns for one in done.ambiguities]
+    assert stamps == sorted(set(stamps))
+    assert set(stamps) <= {e.stamp_ns for e in done.estimates}
+    assert (done.ambiguities[0].mirrored, done.ambiguities[-1].mirrored) == (0.5, 0.01)
+    assert [event.kind for event in done.events] == ["start", "decision"]
+    decided_ns = done.events[1].stamp_ns
+    assert {one.mirrored for one in done.ambiguities if one.stamp_ns < decided_ns} == {0.5}
+    assert decided_ns in stamps  # a change is kept when it comes
+
+
+def test_an_estimator_that_is_always_sure_has_no_ambiguities() -> None:
+    done = replay(drive(), Ekf(Config()))
+    assert (done.ambiguities, done.events) == ((), ())

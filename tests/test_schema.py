@@ -43,6 +43,8 @@ def test_names_carry_versions_and_topics_are_the_documented_ones():
         "truth": "fieldloc.Truth.v1",
         "estimate": "fieldloc.Estimate.v1",
         "initial_pose": "fieldloc.InitialPose.v1",
+        "hypotheses": "fieldloc.Ambiguity.v1",
+        "events": "fieldloc.Event.v1",
         "field": "fieldloc.FieldMap.v1",
     }
     assert all(TOPICS[role] == f"/{role}" for role in TOPICS)
@@ -89,7 +91,7 @@ def test_every_number_in_a_schema_names_its_unit_or_is_explained(schema):
 
     for name, description in walk("", json.loads(schema.text)):
         assert description, name
-        assert name.endswith(units) or name == "covariance", name
+        assert name.endswith(units) or name in {"covariance", "weight", "mirrored", "lost", "track"}, name
 
 
 @pytest.mark.parametrize("schema", SCHEMAS, ids=lambda schema: schema.role)

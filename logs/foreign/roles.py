@@ -51,6 +51,8 @@ PLAYERS: Mapping[str, tuple[type[Part], ...]] = {
     "truth": (PosePart, OdometryPart),
     "estimate": (PosePart, OdometryPart),
     "initial_pose": (PosePart, OdometryPart),
+    "hypotheses": (),
+    "events": (),
     "field": (),
     "tf": (Transforms,),
     "image": (ImagePart, VideoPart),

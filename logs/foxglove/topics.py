@@ -12,6 +12,7 @@
 | /fieldloc/annotations | foxglove.ImageAnnotations | posts and lines in the image they were seen in |
 | /fieldloc/hypotheses | foxglove.PosesInFrame | poses that all could be, the likeliest first |
 | /fieldloc/weights | foxglove.SceneUpdate | the same as arrows, the likelier the less transparent |
+| /fieldloc/events | foxglove.Log | what befell the hypotheses, in words |
 """
 
 from typing import NamedTuple
@@ -27,6 +28,7 @@ SIGHTS = "/fieldloc/sights"
 ANNOTATIONS = "/fieldloc/annotations"
 HYPOTHESES = "/fieldloc/hypotheses"
 WEIGHTS = "/fieldloc/weights"
+EVENTS = "/fieldloc/events"
 
 STAMPS_NS = range(2**32 * 1_000_000_000)
 """The stamps that Foxglove's messages hold."""

@@ -22,12 +22,12 @@ from logs.messages.fields import (
     stamp,
 )
 
-_POSE: dict[str, JsonObject] = {
+POSE: dict[str, JsonObject] = {
     "x_m": numeric("Robot in the field frame: towards the opponent's goal, from the field's centre"),
     "y_m": numeric("Robot in the field frame: to the left"),
     "heading_rad": numeric("Robot's forward axis, counter-clockwise from the field's x axis"),
 }
-_POSE_COVARIANCE = fixed("Covariance of (x_m, y_m, heading_rad) in field axes", 3, 3)
+POSE_COVARIANCE = fixed("Covariance of (x_m, y_m, heading_rad) in field axes", 3, 3)
 
 ODOMETRY_SCHEMA = object_schema(
     "Velocity in the robot frame, held from this stamp to the next message's",
@@ -45,10 +45,10 @@ COMPASS_SCHEMA = object_schema(
     heading_rad=numeric("Robot's forward axis, counter-clockwise from the field's x axis"),
     sigma_rad=numeric("Standard deviation of the heading, above 0"),
 )
-TRUTH_SCHEMA = object_schema("Pose of the robot from a reference system", stamp_ns=STAMP, **_POSE)
-ESTIMATE_SCHEMA = object_schema("Estimated pose of the robot", stamp_ns=STAMP, **_POSE, covariance=_POSE_COVARIANCE)
+TRUTH_SCHEMA = object_schema("Pose of the robot from a reference system", stamp_ns=STAMP, **POSE)
+ESTIMATE_SCHEMA = object_schema("Estimated pose of the robot", stamp_ns=STAMP, **POSE, covariance=POSE_COVARIANCE)
 INITIAL_POSE_SCHEMA = object_schema(
-    "Pose of the robot told from outside", stamp_ns=STAMP, **_POSE, covariance=_POSE_COVARIANCE
+    "Pose of the robot told from outside", stamp_ns=STAMP, **POSE, covariance=POSE_COVARIANCE
 )
 
 

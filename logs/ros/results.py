@@ -17,7 +17,7 @@ from logs.source import Encoded, Source
 ODOMETRY_TOPIC = "/fieldloc/odometry"
 TF_TOPIC = "/tf"
 
-_LITTLE_ENDIAN_CDR = b"\0\1\0\0"
+LITTLE_ENDIAN_CDR = b"\0\1\0\0"
 _LAST_SECOND = 2**31 - 1
 _CELLS = tuple((6 * row + column, i, j) for i, row in enumerate((0, 1, 5)) for j, column in enumerate((0, 1, 5)))
 """Where (x, y, heading) are among ROS's (x, y, z, about x, about y, about z): cell, our row, our column."""
@@ -32,11 +32,11 @@ class Frames:
     robot: str = "base_footprint"
 
 
-_USUAL = Frames()
+USUAL = Frames()
 
 
 def ros2_messages(
-    estimate: Estimate, odom_from_robot: FloatArray | None, frames: Frames = _USUAL
+    estimate: Estimate, odom_from_robot: FloatArray | None, frames: Frames = USUAL
 ) -> tuple[Encoded, ...]:
     """PoseWithCovarianceStamped, Odometry and TFMessage of one estimate.
 
@@ -44,14 +44,14 @@ def ros2_messages(
     robot then, and map to robot without it. The odometry's twist is not known: zeros, as is its covariance, which is
     ROS's word for that. ValueError for a stamp that ROS 2's 32 bits of seconds do not hold (before 1970, after 2038).
     """
-    stamp = _stamp(estimate.stamp_ns)
-    pose = _pose(*estimate.pose.tolist())
+    stamp = stamp_of(estimate.stamp_ns)
+    pose = flat_pose(*estimate.pose.tolist())
     known = (*pose, *_covariance(estimate.covariance))
     if odom_from_robot is None:
         tree, steps = _transforms_layout(frames.field, frames.robot), [pose]
     else:
         tree = _transforms_layout(frames.field, frames.odom, frames.robot)
-        steps = [_pose(*_odom_in_field(estimate.pose, odom_from_robot)), _pose(*odom_from_robot.tolist())]
+        steps = [flat_pose(*_odom_in_field(estimate.pose, odom_from_robot)), flat_pose(*odom_from_robot.tolist())]
     datas = (
         _filled(_pose_layout(frames.field), stamp, [known]),
         _filled(_odometry_layout(frames.field, frames.robot), stamp, [known]),
@@ -64,18 +64,18 @@ def ros2_messages(
 def sources() -> tuple[Source, Source, Source]:
     """Those of the messages, in their order."""
     return (
-        _source(ROS2_ESTIMATES, "geometry_msgs/msg/PoseWithCovarianceStamped"),
-        _source(ODOMETRY_TOPIC, "nav_msgs/msg/Odometry"),
-        _source(TF_TOPIC, "tf2_msgs/msg/TFMessage"),
+        source(ROS2_ESTIMATES, "geometry_msgs/msg/PoseWithCovarianceStamped"),
+        source(ODOMETRY_TOPIC, "nav_msgs/msg/Odometry"),
+        source(TF_TOPIC, "tf2_msgs/msg/TFMessage"),
     )
 
 
-def _source(topic: str, name: str) -> Source:
+def source(topic: str, name: str) -> Source:
     encoding, text = standard_text(name)
     return Source(topic, "cdr", name, encoding, text, {"offered_qos_profiles": ""})  # as rosbag2 where it has none
 
 
-def _stamp(stamp_ns: int) -> tuple[int, int]:
+def stamp_of(stamp_ns: int) -> tuple[int, int]:
     seconds, rest = divmod(stamp_ns, 1_000_000_000)
     if not 0 <= seconds <= _LAST_SECOND:
         raise ValueError(
@@ -93,7 +93,7 @@ def _odom_in_field(field_from_robot: FloatArray, odom_from_robot: FloatArray) ->
     return x - c * odom_x + s * odom_y, y - s * odom_x - c * odom_y, turn
 
 
-def _pose(x: float, y: float, heading: float) -> tuple[float, ...]:
+def flat_pose(x: float, y: float, heading: float) -> tuple[float, ...]:
     """Position, and the quaternion (x, y, z, w) of a turn about the vertical."""
     return x, y, 0.0, 0.0, 0.0, sin(heading / 2), cos(heading / 2)
 
@@ -145,7 +145,7 @@ def _layout(start: bytes, parts: Sequence[tuple[tuple[str, ...], int]]) -> _Layo
         body += bytes(-len(body) % 8)
         places.append((4 + stamp_at, 4 + len(body)))
         body += bytes(8 * doubles)
-    return _Layout(_LITTLE_ENDIAN_CDR + bytes(body), tuple(places))
+    return _Layout(LITTLE_ENDIAN_CDR + bytes(body), tuple(places))
 
 
 def _filled(layout: _Layout, stamp: tuple[int, int], numbers: Sequence[Sequence[float]]) -> bytes:
