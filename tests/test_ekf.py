@@ -4,12 +4,12 @@ from scipy.stats import chi2
 from walks import FIELD, TAKEN_AT_ITS_WORD, feed, nees, ns, scan, velocities, walk
 
 from estimators.base import Estimate
-from estimators.config import Calibration, Config, MotionNoise, Robust
+from estimators.config import Calibration, Compass, Config, MotionNoise, Robust
 from estimators.ekf import Ekf
 from estimators.motion import OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.factor_builder import FactorBuilder
-from fieldloc.factors import Factor, LandmarkFactor, LineFactor, PoseFactor
+from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.measurements import Odometry
 from fieldloc.repetition import ErrorCorrelation
 
@@ -128,3 +128,105 @@ def test_the_errors_of_many_walks_are_as_large_as_the_filter_says(at_s: float, c
         total += nees(estimate, truth[-1, i])
     # one time per walk, so the walks are independent: chi-square, 3 * 80 degrees of freedom, 99.9 % two-sided
     assert chi2.ppf(0.0005, 3 * walks) < total < chi2.ppf(0.9995, 3 * walks)
+
+
+def compass(stamp_s: float, heading_rad: float, sigma_rad: float = 0.1, wider: float = 1.0) -> HeadingFactor:
+    return HeadingFactor(ns(stamp_s), heading_rad, np.array([[wider * sigma_rad**2]]), by_compass=True, wider=wider)
+
+
+def heading_of(ekf: Ekf) -> tuple[float, float]:
+    """Heading and its standard deviation."""
+    estimate = ekf.estimate()
+    assert estimate is not None
+    return float(estimate.pose[2]), float(np.sqrt(estimate.covariance[2, 2]))
+
+
+def test_what_a_compass_says_is_shared_by_heading_and_offset() -> None:
+    ekf = Ekf(Config(compass=Compass(offset_sigma_rad=0.2)))
+    ekf.update(PoseFactor(0, np.zeros(3), np.diag([0.1, 0.1, 0.1]) ** 2))
+    innovation = ekf.update(compass(0, 0.12))
+    assert innovation is not None
+    assert innovation.covariance[0, 0] == pytest.approx(0.1**2 + 0.2**2 + 0.1**2)
+    heading, sigma = heading_of(ekf)
+    assert heading == pytest.approx(0.12 * 0.01 / 0.06)
+    assert sigma**2 == pytest.approx(0.01 - 0.01**2 / 0.06)
+    # four parts of six went to the offset, one is the reading's noise: at heading 0 it now expects that
+    again = ekf.update(compass(0, 0.12 * 5.0 / 6.0))
+    assert again is not None
+    assert again.residual[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_heading_that_is_no_compass_has_no_offset() -> None:
+    ekf = Ekf(Config())
+    ekf.update(PoseFactor(0, np.zeros(3), np.diag([0.1, 0.1, 0.1]) ** 2))
+    ekf.update(HeadingFactor(0, 0.12, np.array([[0.01]])))
+    assert heading_of(ekf) == pytest.approx((0.06, 0.1 / np.sqrt(2.0)))
+
+
+def test_an_offset_is_forgotten_when_the_compass_was_silent_for_long() -> None:
+    """And not by a start: the iron stays on the robot."""
+    sure, config = np.diag([0.01, 0.01, 1e-4]) ** 2, Config(compass=Compass(0.2, 20.0))
+    ekf = Ekf(config)
+    ekf.start(Estimate(0, np.zeros(3), sure))
+    for _ in range(100):
+        ekf.update(compass(0, 0.3, 0.01))
+    residuals = []
+    for at_s in (0.0, 20.0, 1000.0):
+        ekf.start(Estimate(ns(at_s), np.zeros(3), sure))
+        innovation = ekf.update(compass(at_s, 0.0, 1e3))
+        assert innovation is not None
+        residuals.append(float(innovation.residual[0]))
+    assert residuals == pytest.approx([0.3, 0.3 / np.e, 0.0], abs=0.001)
+
+
+def test_forty_degrees_of_disturbance_for_ten_seconds_hardly_bend_the_track() -> None:
+    """A compass of 15 deg at 10 Hz whose errors are alike over two seconds; a fix a second, good to 2 deg."""
+    sigma, wider = np.radians(15.0), 40.0
+    ekf, random = Ekf(Config()), np.random.default_rng(4)
+    ekf.start(Estimate(0, np.zeros(3), np.diag([0.1, 0.1, 0.1]) ** 2))
+    worst = 0.0
+    for k in range(400):
+        at_s = 0.1 * (k + 1)
+        ekf.predict(Odometry(ns(at_s - 0.1), np.array([0.3, 0.0, 0.0])))
+        off = np.radians(40.0) if 15.0 < at_s <= 25.0 else 0.0
+        ekf.update(compass(at_s, off + float(random.normal(0.0, sigma)), sigma, wider))
+        if k % 10 == 9:
+            ekf.update(PoseFactor(ns(at_s), np.array([0.3 * at_s, 0.0, 0.0]), np.diag([0.1, 0.1, 0.035]) ** 2))
+        if at_s > 15.0:
+            worst = max(worst, abs(heading_of(ekf)[0]))
+    assert worst < np.radians(1.0)
+
+
+def test_a_reading_that_repeats_the_last_one_is_judged_as_if_it_did_not() -> None:
+    weights = []
+    for wider in (1.0, 40.0):
+        ekf = Ekf(Config())
+        ekf.start(Estimate(0, np.zeros(3), np.diag([0.1, 0.1, 0.1]) ** 2))
+        innovation = ekf.update(compass(0, 2.0, 0.26, wider))
+        assert innovation is not None
+        weights.append(innovation.weight)
+    assert weights[0] < 0.2
+    assert weights[1] == pytest.approx(weights[0])
+
+
+def test_with_a_wandering_compass_the_errors_are_as_large_as_the_filter_says() -> None:
+    walks, steps, sigma = 80, 100, 0.1
+    config = Config(calibration=TAKEN_AT_ITS_WORD, compass=Compass(0.3, 5.0), robust=Robust(nis_per_dof=1e9))
+    random = np.random.default_rng(8)
+    first, start_sigma = np.array([0.5, -0.5, 1.0]), np.array([0.05, 0.05, 0.3])
+    truth = walk(se2.retract(first, start_sigma * random.standard_normal((walks, 3))), velocities(steps), 0.1, random)
+    left = np.exp(-0.1 / 5.0)
+    total = 0.0
+    for i in range(walks):
+        ekf, offset = Ekf(config), random.normal(0.0, 0.3)
+        ekf.start(Estimate(0, first, se2.rotate_covariance(np.diag(start_sigma**2), first[2])))
+        for k, command in enumerate(velocities(steps)):
+            ekf.predict(Odometry(ns(0.1 * k), command))
+            if k:
+                offset = left * offset + random.normal(0.0, 0.3 * np.sqrt(1.0 - left**2))
+            ekf.update(compass(0.1 * k, float(truth[k, i, 2] + offset + random.normal(0.0, sigma)), sigma))
+        ekf.advance(ns(0.1 * steps))
+        _, spread = heading_of(ekf)
+        error = se2.wrap(heading_of(ekf)[0] - truth[-1, i, 2])
+        total += float(error / spread) ** 2
+    assert chi2.ppf(0.0005, walks) < total < chi2.ppf(0.9995, walks)
