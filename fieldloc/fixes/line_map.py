@@ -1,4 +1,7 @@
-"""The straight lines of a map as a grid: two perpendicular directions, and where the lines of each stand."""
+"""The straight lines of a map as a grid: two perpendicular directions, and where the lines of each stand.
+
+And that grid as robots see it whose own axes are turned by quarter turns against it.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,6 +14,7 @@ from fieldloc.pose import FloatArray, apply
 
 _PARALLEL_RAD = 1e-3
 _SAME_M = 1e-3
+_NOWHERE = 1e9  # fills the tables where a turn has fewer lines of one family than of the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,3 +58,70 @@ def line_grid(field_map: FieldMap) -> LineGrid:
             merged.append((axis, offset, low, high))
     table = np.array(merged)
     return LineGrid(heading, table[:, 0].astype(np.intp), table[:, 1], table[:, 2:])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TurnedGrid:
+    """The grid in axes turned by `turns` (t,) quarter turns against it: family 0 has constant y there, family 1 x.
+
+    offsets_m: (t, 2, m) that constant, by turn and family. middles_m, halves_m: (t, 2, m) of the extents in the other
+    coordinate. rows: (t, 2, m) of the LineGrid. Beyond a family's lines stand ones that nothing matches.
+    low_m, high_m: (t, 2) bounds of the lines' x and y.
+    twins: (r,) where each row goes when the grid is turned by a half turn about `centre_m` (2,), grid axes; None where
+    it is not the same then. With twins there are two turns only: the other two are their copies.
+    """
+
+    turns: NDArray[np.intp]
+    offsets_m: FloatArray
+    middles_m: FloatArray
+    halves_m: FloatArray
+    rows: NDArray[np.intp]
+    low_m: FloatArray
+    high_m: FloatArray
+    centre_m: FloatArray
+    twins: NDArray[np.intp] | None
+
+
+@lru_cache(maxsize=16)
+def turned_grid(field_map: FieldMap) -> TurnedGrid:
+    grid = line_grid(field_map)
+    ends = _ends(grid)
+    low, high = (ends.min(axis=(0, 1)), ends.max(axis=(0, 1))) if len(ends) else (np.zeros(2), np.zeros(2))
+    centre = 0.5 * (low + high)
+    twins = _rows_of(2.0 * centre - ends, ends)
+    turns = np.arange(4 if twins is None else 2)
+    most = int(np.bincount(grid.axes, minlength=2).max())
+    shape = (len(turns), 2, most)
+    offsets, middles, halves = (np.full(shape, fill) for fill in (_NOWHERE, 0.0, -_NOWHERE))
+    rows = np.full(shape, -1, dtype=np.intp)
+    lows, highs = np.zeros((len(turns), 2)), np.zeros((len(turns), 2))
+    for turn in turns:
+        back = np.array([0.0, 0.0, -0.5 * np.pi * turn])
+        turned = apply(back, ends)
+        corners = apply(back, np.stack([low, high]))
+        lows[turn], highs[turn] = corners.min(axis=0), corners.max(axis=0)
+        for family in (0, 1):
+            chosen = np.flatnonzero((1 - grid.axes + turn) % 2 == family)
+            part = (turn, family, slice(len(chosen)))
+            along = turned[chosen][..., family]
+            offsets[part] = turned[chosen][..., 1 - family].mean(axis=1)
+            middles[part], halves[part] = along.mean(axis=1), 0.5 * np.ptp(along, axis=1)
+            rows[part] = chosen
+    return TurnedGrid(turns, offsets, middles, halves, rows, lows, highs, centre, twins)
+
+
+def _ends(grid: LineGrid) -> FloatArray:
+    """(m, 2, 2) end points in grid axes."""
+    across = np.repeat(grid.offsets_m[:, None], 2, axis=1)
+    first = (grid.axes == 0)[:, None]
+    return np.stack([np.where(first, across, grid.extents_m), np.where(first, grid.extents_m, across)], axis=-1)
+
+
+def _rows_of(lines: FloatArray, ends: FloatArray) -> NDArray[np.intp] | None:
+    """(m,) which of `ends` each of the lines (m, 2, 2) is, from either end; None if one is not there."""
+    if not len(ends):
+        return None
+    direct = np.abs(lines[:, None] - ends).max(axis=(2, 3))
+    reverse = np.abs(lines[:, None, ::-1] - ends).max(axis=(2, 3))
+    apart = np.minimum(direct, reverse)
+    return apart.argmin(axis=1) if (apart.min(axis=1) < _SAME_M).all() else None

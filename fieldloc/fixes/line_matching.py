@@ -1,8 +1,9 @@
-"""Which map line each seen line can be: every assignment that geometry allows, for the lines of one direction.
+"""Which map line each seen line can be: every assignment that geometry allows, of all turns at once.
 
-An interpretation tree, one seen line a level, all branches of a level at once. A branch dies when two of its lines put
-the robot at places that differ by more than their noise, or when no place lets every map line reach over what was seen
-of it.
+An anchor is one seen line taken for one map line: it puts the robot somewhere across that line, which says what every
+other line of the same direction can be. If at most u lines are none of the map's, then of any u + 1 lines one is, so
+u + 1 lines a direction are enough to try. A pair of anchors, one a direction, is a place, which says whether each map
+line reaches over what was seen of it.
 """
 
 from dataclasses import dataclass
@@ -10,71 +11,122 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldloc.fixes.line_map import TurnedGrid
+from fieldloc.fixes.lines import GroundLines
 from fieldloc.pose import FloatArray
 
 GATE_SIGMAS = 4.0
-_MAX_BRANCHES = 200  # reached only when the noise is as large as the gaps between the lines; then the best ones stay
+AROUND_M = 1.0  # a robot can stand so far outside of the lines
+_SURE_SHARE = 0.5  # of the gate: a line nearer than that to a map line is never left unexplained
+_MOST_PAIRS = 4000  # beyond it the noise is as large as the gaps between the lines; then the best explained stay
+HASH = np.random.default_rng(1).integers(1, 2**62, 64)  # sums of these, modulo 2^64, tell rows of numbers apart
+
+_IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """Lines of one direction, in grid axes around the robot.
+class Matches:
+    """turns: (k,) rows of the TurnedGrid. columns: (k, n) of its lines, -1 where a line is none of the map's."""
 
-    offsets_m: (n,) in the coordinate that is constant along them, with covariance (n, n). extents_m: (n, 2) lower and
-    upper end in the other coordinate, moved inwards by their tolerance (so the lower may be the higher).
-    """
-
-    offsets_m: FloatArray
-    covariance: FloatArray
-    extents_m: FloatArray
+    turns: _IntArray
+    columns: _IntArray
 
 
-@dataclass(frozen=True, slots=True)
-class Branches:
-    """Assignments (p, n): the map line of each seen line, -1 for one left unexplained (unexplained (p,) of them).
+class LineMatcher:
+    """Lines of one image against a map, with at most so many of them unexplained."""
 
-    position_m: (p,) where they put the robot across the lines, sigma_m (p,). room_m: (p, 2) where it can be along them.
-    """
+    def __init__(
+        self, lines: GroundLines, covariance: FloatArray, grid: TurnedGrid, tolerance_m: float, unexplained: int
+    ) -> None:
+        """covariance: (1 + n, 1 + n) as the lines', with the map's own noise in it."""
+        families = lines.families
+        self._families, self._unexplained = families, unexplained
+        variance = covariance.diagonal()[1:]
+        between = variance[:, None] + variance - 2.0 * covariance[1:, 1:]
+        gate = GATE_SIGMAS * np.sqrt(np.maximum(between, 0.0)) + 1e-9
+        reach = GATE_SIGMAS * np.sqrt(variance)
+        # where each assignment puts the robot across (t, n, m), and where along it may be then
+        self._position = grid.offsets_m[:, families] - lines.distances_m[:, None]
+        inwards = lines.extents_m + (GATE_SIGMAS * lines.extents_sigma_m + tolerance_m) * np.array([1.0, -1.0])
+        self._middle = grid.middles_m[:, families] - 0.5 * (inwards[:, :1] + inwards[:, 1:])
+        half = grid.halves_m[:, families] - 0.5 * (inwards[:, 1:] - inwards[:, :1])
+        self._half = np.where(half >= 0.0, half, -1e9)
 
-    assigned: NDArray[np.intp]
-    unexplained: NDArray[np.intp]
-    position_m: FloatArray
-    sigma_m: FloatArray
-    room_m: FloatArray
+        self._count = np.bincount(families, minlength=2)
+        first = np.zeros(len(families), dtype=np.bool_)
+        order = np.argsort(variance, kind="stable")
+        for each in (0, 1):
+            first[order[families[order] == each][: unexplained + 1]] = True
+        # family 0 says where the robot is in y, family 1 in x
+        bounds = np.stack([grid.low_m, grid.high_m], axis=-1)[:, 1 - families, None]
+        margin = AROUND_M + reach[:, None]
+        possible = (half >= 0.0) & first[:, None]
+        possible &= (self._position > bounds[..., 0] - margin) & (self._position < bounds[..., 1] + margin)
+        turn, line, column = np.nonzero(possible)
+        at, middle, wide = (a[turn, line, column] for a in (self._position, self._middle, self._half))
+        apart = np.abs(self._position[turn] - at[:, None, None]) / gate[line][:, :, None]
+        fits = (apart <= 1.0).astype(np.int8) + (apart <= _SURE_SHARE)
+        fits *= (families == families[line][:, None])[:, :, None]
+        fits *= np.abs(self._middle[turn] - middle[:, None, None]) <= self._half[turn] + wide[:, None, None]
+        family = families[line]
+        left_out = self._count[family] - (fits > 0).any(axis=2).sum(axis=1)
+        kept = left_out <= unexplained
+        # per anchor: turn, position across, its reach, room along, which lines fit, how many do not
+        self._turn, self._family, self._left_out = turn[kept], family[kept], left_out[kept]
+        self._at, self._reach, self._fits = at[kept], reach[line[kept]], fits[kept]
+        self._room = middle[kept], wide[kept]
 
+    def pairs(self) -> Matches:
+        """With lines of both directions explained."""
+        y, x = np.flatnonzero(self._family == 0), np.flatnonzero(self._family == 1)
+        middle, half = self._room
+        both = self._turn[y][:, None] == self._turn[x]
+        both &= self._left_out[y][:, None] + self._left_out[x] <= self._unexplained
+        both &= np.abs(self._at[y][:, None] - middle[x]) <= half[x] + self._reach[y][:, None]
+        both &= np.abs(self._at[x] - middle[y][:, None]) <= half[y][:, None] + self._reach[x]
+        i, j = np.nonzero(both)
+        y, x = y[i], x[j]
+        if len(y) > _MOST_PAIRS:
+            best = np.argsort(self._left_out[y] + self._left_out[x], kind="stable")[:_MOST_PAIRS]
+            y, x = y[best], x[best]
+        turn, fits = self._turn[y], self._fits[y] + self._fits[x]
+        # what was seen of a line says where the robot is in the other direction's coordinate
+        of_y = self._families == 1
+        at = np.where(of_y, self._at[y][:, None], self._at[x][:, None])
+        reach = np.where(of_y, self._reach[y][:, None], self._reach[x][:, None])
+        fits *= np.abs(self._middle[turn] - at[:, :, None]) <= self._half[turn] + reach[:, :, None]
+        return self._expand(turn, fits, np.ones(len(self._families), dtype=np.bool_))
 
-def match(seen: Seen, offsets_m: FloatArray, extents_m: FloatArray, unexplained: int) -> Branches:
-    """All assignments to map lines (m,), (m, 2) with at most so many lines, and never all, left unexplained."""
-    count = len(seen.offsets_m)
-    variance = np.diagonal(seen.covariance)
-    gate = GATE_SIGMAS * np.sqrt(np.maximum(variance[:, None] + variance - 2.0 * seen.covariance, 0.0)) + 1e-9
-    assigned = np.full((1, count), -1, dtype=np.intp)
-    implied = np.full((1, count), np.nan)  # where each assignment puts the robot
-    room = np.array([[-np.inf, np.inf]])
-    left_out = np.zeros(1, dtype=np.intp)
-    misfit = np.zeros(1)
-    for i in np.argsort(variance, kind="stable"):
-        position = offsets_m - seen.offsets_m[i]
-        low = np.maximum(room[:, :1], extents_m[:, 0] - seen.extents_m[i, 0])
-        high = np.minimum(room[:, 1:], extents_m[:, 1] - seen.extents_m[i, 1])
-        apart = np.abs(position[:, None] - implied[:, None, :]) / gate[i]
-        apart = np.where(np.isnan(apart), 0.0, apart)
-        branch, line = np.nonzero((low <= high) & (apart.max(axis=-1) <= 1.0))
-        spare = np.flatnonzero(left_out < unexplained)
-        parent = np.concatenate([branch, spare])
-        assigned, implied = assigned[parent], implied[parent]
-        assigned[: len(line), i], implied[: len(line), i] = line, position[line]
-        room = np.concatenate([np.stack([low[branch, line], high[branch, line]], axis=-1), room[spare]])
-        left_out = np.concatenate([left_out[branch], left_out[spare] + 1])
-        misfit = np.concatenate([misfit[branch] + np.sum(apart[branch, line] ** 2, axis=-1), misfit[spare]])
-        if len(parent) > _MAX_BRANCHES:
-            best = np.sort(np.lexsort((misfit, left_out))[:_MAX_BRANCHES])
-            assigned, implied, room = assigned[best], implied[best], room[best]
-            left_out, misfit = left_out[best], misfit[best]
-    some = left_out < count
-    assigned, implied, room, left_out = assigned[some], implied[some], room[some], left_out[some]
-    weight = np.where(assigned >= 0, 1.0 / np.maximum(variance, 1e-18), 0.0)
-    position = np.sum(weight * np.where(assigned >= 0, implied, 0.0), axis=1) / weight.sum(axis=1)
-    # the lines' errors are shared, so together they are hardly better than the best one
-    sigma = np.sqrt(np.where(assigned >= 0, variance, np.inf).min(axis=1, initial=np.inf))
-    return Branches(assigned, left_out, position, sigma, room)
+    def alone(self, family: int) -> Matches:
+        """With lines of that direction only explained."""
+        if len(self._families) - self._count[family] > self._unexplained:
+            return self._expand(self._turn[:0], self._fits[:0], self._families == family)
+        rows = np.flatnonzero(self._family == family)
+        return self._expand(self._turn[rows], self._fits[rows], self._families == family)
+
+    def room(self, turns: _IntArray, columns: _IntArray) -> tuple[FloatArray, FloatArray]:
+        """(k,) bounds of where along its lines a robot is that sees these: from x for family 0, from y for family 1."""
+        place = turns[:, None], np.arange(columns.shape[1]), columns
+        middle, half = self._middle[place], self._half[place]
+        low = np.where(columns >= 0, middle - half, -np.inf).max(axis=1, initial=-np.inf)
+        return low, np.where(columns >= 0, middle + half, np.inf).min(axis=1, initial=np.inf)
+
+    def _expand(self, turn: _IntArray, fits: NDArray[np.int8], tried: NDArray[np.bool_]) -> Matches:
+        """Every choice among what fits (p, n, m); a line that fits nothing well may be left unexplained."""
+        explained = fits.any(axis=2)
+        enough = explained.sum(axis=1) >= len(tried) - self._unexplained
+        turn, fits = turn[enough], fits[enough]
+        options = np.concatenate([fits > 0, (fits < 2).all(axis=2, keepdims=True)], axis=2)
+        columns = options.argmax(axis=2)
+        parent = np.arange(len(turn))
+        for line in np.flatnonzero((options.sum(axis=2) > 1).any(axis=0)):
+            row, column = np.nonzero(options[parent, line])
+            parent, columns = parent[row], columns[row]
+            columns[:, line] = column
+        columns[columns == fits.shape[2]] = -1
+        turn = turn[parent]
+        few = (columns < 0).sum(axis=1) <= self._unexplained
+        key = (columns * HASH[np.arange(1, 1 + len(tried)) % 64]).sum(axis=1) + turn * HASH[0]
+        _, distinct = np.unique(np.where(few, key, -1), return_index=True)
+        distinct = distinct[few[distinct]]
+        return Matches(turn[distinct], columns[distinct])

@@ -37,7 +37,9 @@ class GroundLines:
     families: (n,) of 0 or 1. distances_m: (n,) signed, the d above.
     extents_m: (n, 2) lower and upper end of what was seen, along the line (x for family 0, y for family 1), with
     their standard deviations extents_sigma_m (n, 2).
-    covariance: (1 + n, 1 + n) of (bearing_rad, distances_m).
+    covariance: (1 + n, 1 + n) of (bearing_rad, distances_m), which is pixel_covariance, from the pixels' noise alone,
+    + by_mount C by_mount' with the C of the mount. by_mount: (1 + n, 4) what another mount (height, pan, tilt, roll)
+    would change in the estimate.
     observed: (n,) index of each among the observations; those missing were unusable or fit neither family.
     chi_square: misfit of the n straight lines, of n - 1 degrees of freedom.
     """
@@ -50,6 +52,8 @@ class GroundLines:
     covariance: FloatArray
     observed: NDArray[np.intp]
     chi_square: float
+    pixel_covariance: FloatArray
+    by_mount: FloatArray
 
 
 def lines_on_the_ground(
@@ -76,6 +80,8 @@ def lines_on_the_ground(
                 covariance=fit.covariance,
                 observed=segments.observed,
                 chi_square=fit.chi_square,
+                pixel_covariance=fit.pixel_covariance,
+                by_mount=fit.by_mount,
             )
         segments = segments.only(np.arange(len(families)) != fit.against.argmax())
     return None
@@ -86,6 +92,8 @@ class _Fit:
     bearing_rad: float
     distances_m: FloatArray
     covariance: FloatArray
+    pixel_covariance: FloatArray
+    by_mount: FloatArray
     chi_square: float
     against: FloatArray  # (n,) how much chi_square would fall without each line, to first order
     settled: bool
@@ -118,6 +126,10 @@ def _fit(mount: CameraMount, segments: LineSegments, families: NDArray[np.intp],
     misfit = np.einsum("ne,nef,nf->n", residual, weight, residual)
     # each line has two residuals; its redundancy is what its own distance and its say in the rest leave over of them
     redundancy = 2.0 - np.einsum("nea,nef,nfb,ab->n", jacobian, weight, jacobian, covariance)
+    # another mount moves the residuals, and the estimate follows
+    to_mount = linearised(moved, np.eye(4), segments, families, float(x[0]), x[lines])[1][..., shared]
+    by_mount = -covariance @ np.einsum("nea,nef,nfb->ab", jacobian, weight, to_mount)
+    from_mount = covariance[: lines.stop, shared]
     to_shared = np.zeros((5, len(x)))
     to_shared[0, 0] = 1.0
     to_shared[1:, shared] = root
@@ -125,6 +137,8 @@ def _fit(mount: CameraMount, segments: LineSegments, families: NDArray[np.intp],
         bearing_rad=float(x[0]),
         distances_m=x[lines],
         covariance=covariance[: lines.stop, : lines.stop],
+        pixel_covariance=covariance[: lines.stop, : lines.stop] - from_mount @ from_mount.T,
+        by_mount=by_mount[: lines.stop],
         chi_square=float(misfit.sum() + x[shared] @ x[shared]),
         against=np.where(redundancy > 1e-6, misfit / np.maximum(redundancy, 1e-6), 0.0),
         settled=settled,
