@@ -1,0 +1,126 @@
+"""What the lines of an image say, in the one form in which its posts can be added to it.
+
+An anchor is a pose with a whitening W (3, 3): W (R^T (position - its position), heading - its heading) is white noise
+but for what the mount's errors do. Lines of both directions make W regular; those of one leave a row of it zero, no
+lines all.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc import pose as se2
+from fieldloc.mixture import IntArray
+from fieldloc.pose import FloatArray
+
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchors:
+    """poses: (a, 3). whitening: (a, 3, 3). by_mount: (a, 3, 4) change of the whitened error with the mount's whitened
+    errors. log_weights: (a,) as of a SolutionMixture's stacks. log_norm: (a,) log density of the whitened noise at
+    zero. whole: (a,) whether it is a whole pose. along_m: (a, 2) how far the robot can be along the free direction from
+    the pose, which is `free` (a, 2) in field axes; log_clutter: of all lines if none is the map's."""
+
+    poses: FloatArray
+    whitening: FloatArray
+    by_mount: FloatArray
+    log_weights: FloatArray
+    log_norm: FloatArray
+    whole: NDArray[np.bool_]
+    along_m: FloatArray
+    free: FloatArray
+    covariances: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    @property
+    def rank(self) -> IntArray:
+        """(a,) how many of the three errors are white noise and not free."""
+        return np.asarray(self.whitening.any(axis=-1).sum(axis=-1), dtype=np.intp)
+
+    def take(self, rows: IntArray | NDArray[np.bool_]) -> "Anchors":
+        return Anchors(
+            self.poses[rows],
+            self.whitening[rows],
+            self.by_mount[rows],
+            self.log_weights[rows],
+            self.log_norm[rows],
+            self.whole[rows],
+            self.along_m[rows],
+            self.free[rows],
+            self.covariances[rows],
+        )
+
+    def linearised(self, rows: IntArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Whitened errors (k, 3) of poses (k, 3) against the rows (k,), Jacobians (k, 3, 7) by tangent and mount."""
+        at = self.poses[rows]
+        error = se2.between(at, poses)
+        turned = se2.rotation3(error[:, 2])
+        whitening = self.whitening[rows]
+        jacobian = np.concatenate([whitening @ turned, -self.by_mount[rows]], axis=-1)
+        return (whitening @ error[:, :, None])[..., 0], jacobian
+
+
+def nothing(log_weight: float) -> Anchors:
+    """One that says nothing: for posts without lines."""
+    return Anchors(
+        np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3, 4)), np.full(1, log_weight), np.zeros(1),
+        np.zeros(1, dtype=np.bool_), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 3, 3)),
+    )  # fmt: skip
+
+
+def whole_poses(
+    poses: FloatArray, pixel_covariances: FloatArray, by_mount: FloatArray, root: FloatArray, log_weights: FloatArray
+) -> Anchors:
+    """Of poses (a, 3) with covariances (a, 3, 3) but for by_mount (a, 3, 4) times the mount's errors; root: (4, 4)."""
+    count = len(poses)
+    whitening = np.linalg.inv(np.linalg.cholesky(pixel_covariances))
+    log_norm = np.log(np.diagonal(whitening, axis1=1, axis2=2)).sum(axis=1) - 1.5 * _LOG_2PI
+    moved = by_mount @ root
+    covariances = pixel_covariances + moved @ np.swapaxes(moved, -1, -2)
+    return Anchors(
+        poses, whitening, whitening @ moved, log_weights, log_norm, np.ones(count, dtype=np.bool_),
+        np.zeros((count, 2)), np.zeros((count, 2)), covariances,
+    )  # fmt: skip
+
+
+def along_lines(
+    heading_rad: FloatArray,
+    normal_rad: FloatArray,
+    offset_m: FloatArray,
+    along_m: FloatArray,
+    pixel_covariances: FloatArray,
+    by_mount: FloatArray,
+    root: FloatArray,
+    log_weights: FloatArray,
+) -> Anchors:
+    """Of headings and distances along one direction, (a,) each as in LineStack, pixel_covariances (a, 2, 2) of both
+    but for by_mount (a, 2, 4) times the mount's errors."""
+    count = len(heading_rad)
+    normal = np.stack([np.cos(normal_rad), np.sin(normal_rad)], axis=-1)
+    free = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
+    poses = np.concatenate([offset_m[:, None] * normal, heading_rad[:, None]], axis=-1)
+    own = np.linalg.inv(np.linalg.cholesky(pixel_covariances))
+    between = normal_rad - heading_rad
+    design = np.zeros((count, 2, 3))
+    design[:, 0, 2] = 1.0
+    design[:, 1, 0], design[:, 1, 1] = np.cos(between), np.sin(between)
+    whitening, moved = np.zeros((count, 3, 3)), np.zeros((count, 3, 4))
+    whitening[:, :2] = own @ design
+    moved[:, :2] = own @ by_mount @ root
+    log_norm = np.log(np.diagonal(own, axis1=1, axis2=2)).sum(axis=1) - _LOG_2PI
+    full = by_mount @ root
+    covariances = np.zeros((count, 3, 3))
+    covariances[:, :2, :2] = pixel_covariances + full @ np.swapaxes(full, -1, -2)
+    return Anchors(
+        poses, whitening, moved, log_weights, log_norm, np.zeros(count, dtype=np.bool_), along_m, free, covariances
+    )
+
+
+def joined(parts: list[Anchors]) -> Anchors:
+    names = ("poses", "whitening", "by_mount", "log_weights", "log_norm", "whole", "along_m", "free", "covariances")
+    return Anchors(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
