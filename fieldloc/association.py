@@ -1,14 +1,16 @@
 """Which landmark of the map is the one without a label, when it is known roughly where the robot is."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from fieldloc import pose as se2
 from fieldloc.covariance import squared_mahalanobis
+from fieldloc.factors import LandmarkFactor
 from fieldloc.field import FieldMap
 from fieldloc.measurements import LandmarkScan
+from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
 _GATE = 13.82  # chi-square, 2 degrees of freedom: a right one fails once in a thousand
@@ -29,6 +31,19 @@ def seen_in_robot(scan: LandmarkScan) -> tuple[FloatArray, FloatArray]:
     in_sensor = np.stack([ranges * np.cos(bearings), ranges * np.sin(bearings)], axis=-1)
     jacobian = axes * np.stack([np.ones_like(ranges), ranges], axis=-1)[:, None, :]
     return se2.apply(scan.robot_from_sensor, in_sensor), jacobian @ scan.covariance @ np.swapaxes(jacobian, -1, -2)
+
+
+def landmark_factors(
+    scan: LandmarkScan, field: FieldMap, rows: IntArray, indices: IntArray, covariance: FloatArray
+) -> tuple[LandmarkFactor, ...]:
+    """Rows of the scan as landmarks of those indices on the map, by covariances (k, 2, 2) of range and bearing."""
+    seen, spread = seen_in_robot(replace(scan, range_bearing=scan.range_bearing[rows], covariance=covariance))
+    # the map's error turns with the unknown heading: its largest in all directions
+    survey = np.linalg.eigvalsh(field.positions_covariance[indices])[:, -1]
+    return tuple(
+        LandmarkFactor(scan.stamp_ns, field.positions[index], seen[k], spread[k] + survey[k] * np.eye(2))
+        for k, index in enumerate(indices)
+    )
 
 
 def associate(scan: LandmarkScan, field: FieldMap, belief: Belief, taken: frozenset[int]) -> dict[int, int]:

@@ -1,18 +1,260 @@
-"""A scan of landmarks as a mixture: which of the map's each of them may be."""
+"""A scan of landmarks as a mixture: which of the map's each of them may be.
 
+    p(scan | pose) = right * sum over one-to-one assignments of the product over its landmarks of
+                         clutter * u                                 if it is none of the map's
+                         (1 - clutter) / m * N(range, bearing)       if it is that one of the m that it may be
+                     + (1 - right) * product of u
+
+with u the density of a thing that may be anywhere: alike over all bearings, and over ranges up to the map's diagonal.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from fieldloc import pose as se2
+from fieldloc.association import landmark_factors
 from fieldloc.detection import Detection
+from fieldloc.factors import Factor, PoseFactor
 from fieldloc.field import FieldMap
+from fieldloc.fixes.labelling import label_landmarks
+from fieldloc.fixes.landmarks import LandmarkFix, landmark_fix
 from fieldloc.measurements import LandmarkScan
+from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
-from fieldloc.solution_mixture import SolutionMixture
+from fieldloc.regions import anywhere
+from fieldloc.scan_assignments import assign, quadratics
+from fieldloc.scan_likelihood import log_sum
+from fieldloc.scan_model import ScanModel
+
+_FORGOTTEN = 8.0  # log evidence below a pose's best assignment, where one is left out
+_RING_STEPS = 24
+_MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFix
+# chance of a good scan to fail is one in ten thousand: chi-square at 2n - 3 degrees of freedom for n = 2, 3, ...
+_CHI2_LIMITS = (15.14, 21.11, 25.74, 29.88, 33.72, 37.37, 40.87, 44.26)
 
 
-class ScanMixture(SolutionMixture):
+@dataclass(frozen=True, eq=False)
+class ScanMixture:
+    """scan: its landmarks that can be of the map. log_right: prior of a scan that is right, times the density of all
+    landmarks as clutter."""
+
+    stamp_ns: int
+    scan: LandmarkScan
+    field_map: FieldMap
+    model: ScanModel
+    log_right: float
+    log_outlier: float
+    symmetric: bool
+    by_compass: bool = False
+    _ids: dict[bytes, int] = field(default_factory=dict, init=False)
+    _matches: list[IntArray] = field(default_factory=list, init=False)
+
+    def solutions(self) -> PoseSolutions:
+        return self._solutions
+
+    def expand(self, poses: FloatArray, covariances: FloatArray) -> Expansion:
+        to_sensor = se2.adjoint(se2.inverse(self.scan.robot_from_sensor))
+        at = se2.compose(poses, self.scan.robot_from_sensor)
+        spread = to_sensor @ covariances @ to_sensor.T
+        near = self.model.near(at, spread)
+        wider = self.model.widening(near)
+        found = assign(self.model, self.model.pairs(near, at, wider), spread)
+        found = found.take(np.flatnonzero((found.matches >= 0).any(axis=1)))
+        seen = quadratics(self.model, found, at, spread, wider)
+        best = np.full(len(poses), -np.inf)
+        np.maximum.at(best, seen.parent, seen.evidence)
+        keep = np.flatnonzero(seen.evidence > best[seen.parent] - _FORGOTTEN)
+        parent = seen.parent[keep]
+        return Expansion(
+            parent,
+            self._intern(found.matches[keep]),
+            seen.constant[keep] + self.log_right,
+            seen.gradient[keep] @ to_sensor,
+            to_sensor.T @ seen.information[keep] @ to_sensor,
+            covariances[parent],
+        )
+
+    def log_likelihood(self, poses: FloatArray) -> FloatArray:
+        at = se2.compose(poses.reshape(-1, 3), self.scan.robot_from_sensor)
+        wrong = self.log_outlier - self.log_right  # with all clutter in it
+        return np.asarray((self.log_right + log_sum(self.model, at, wrong)).reshape(poses.shape[:-1]))
+
+    @cached_property
+    def log_integral(self) -> float:
+        """Lower bound: of `solutions`, and of what explains one landmark only. Left out is what explains some, but
+        fewer than `solutions` goes down to."""
+        return float(np.logaddexp.reduce([*self._rings().ravel(), *self._solutions.log_weights]))
+
+    def chosen(self, solution: int) -> tuple[Factor, ...]:
+        """A pose where two or more landmarks determine it, agree, and leave a Gaussian; each by itself else."""
+        matches = self.matches(solution)
+        rows = np.flatnonzero(matches >= 0)
+        which = matches[rows]
+        scale = np.sqrt(self.model.wider[which])
+        covariance = self.scan.covariance[rows] * scale[:, :, None] * scale[:, None, :]
+        if len(rows) >= 2:
+            limit = _CHI2_LIMITS[min(len(rows) - 2, len(_CHI2_LIMITS) - 1)]
+            fixes = self._fixes(rows, which, self.scan.covariance[rows])
+            if len(fixes) == 1 and fixes[0].chi2 < limit:
+                fixes = self._fixes(rows, which, covariance)
+                if len(fixes) == 1 and fixes[0].nonlinearity <= _MAX_NONLINEARITY:
+                    return (PoseFactor.from_fix(self.stamp_ns, fixes[0]),)
+        return landmark_factors(self.scan, self.field_map, rows, which, covariance)
+
+    def matches(self, solution: int) -> IntArray:
+        """(n,) per landmark of `scan` the index of the map's in the solution of that id, -1 where it is none."""
+        return self._matches[solution]
+
     def landmarks_seen(self, pose: FloatArray) -> tuple[int, ...]:
         """Map indices of what was seen, by the likeliest explanation for a robot at the pose (3,)."""
-        raise NotImplementedError
+        at = se2.compose(pose, self.scan.robot_from_sensor)[None]
+        exactly = np.zeros((1, 3, 3))
+        near = self.model.near(at, exactly)
+        found = assign(self.model, self.model.pairs(near, at, np.ones_like(self.scan.range_bearing)), exactly)
+        matches = found.matches[np.argmax(found.score)]
+        return tuple(matches[matches >= 0].tolist())
+
+    def _fixes(self, rows: IntArray, which: IntArray, covariance: FloatArray) -> tuple[LandmarkFix, ...]:
+        return landmark_fix(
+            self.field_map.positions[which],
+            self.scan.range_bearing[rows],
+            covariance,
+            self.field_map.positions_covariance[which],
+            self.scan.robot_from_sensor,
+        )
+
+    def _intern(self, matches: IntArray) -> IntArray:
+        """Ids (c,) of assignments (c, n)."""
+        out = np.empty(len(matches), dtype=np.intp)
+        for row, match in enumerate(matches):
+            key = match.tobytes()
+            if key not in self._ids:
+                self._ids[key] = len(self._matches)
+                self._matches.append(match.copy())
+            out[row] = self._ids[key]
+        return out
+
+    def _rings(self) -> FloatArray:
+        """(n, m) log of the integral over poses with one landmark explained: a ring, as far as it is on the field."""
+        angle = np.linspace(0.0, 2 * np.pi, _RING_STEPS, endpoint=False)
+        on_ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        r = self.model.range_bearing[:, 0]
+        places = self.model.positions[:, None] + r[:, None, None, None] * on_ring
+        x_min, y_min, x_max, y_max = anywhere(self.field_map).boxes[0]
+        x, y = places[..., 0], places[..., 1]
+        share = ((x > x_min) & (x < x_max) & (y > y_min) & (y < y_max)).mean(axis=-1)
+        with np.errstate(divide="ignore"):
+            log_share = np.log(np.where(self.model.may, share, 0.0))
+        weights = self.log_right + self.model.log_match - self.model.log_clutter + np.log(2 * np.pi * r)
+        return np.asarray(weights[:, None] + log_share)
+
+    @cached_property
+    def _solutions(self) -> PoseSolutions:
+        n = len(self.scan.labels)
+        if n < 2 or len(self.field_map.positions) < 2:
+            return PoseSolutions.none()
+        fix: LandmarkFix
+        tried: list[tuple[IntArray, LandmarkFix]] = []
+        if self.model.may.sum() == n:
+            every = np.argmax(self.model.may, axis=1)
+            for left_out in range(-1, n if n > 2 else 0):
+                rows = np.flatnonzero(np.arange(n) != left_out)
+                matches = np.where(np.arange(n) == left_out, -1, every)
+                tried += [(matches, fix) for fix in self._fixes(rows, every[rows], self.scan.covariance[rows])]
+        else:
+            for fix in label_landmarks(
+                self.field_map.positions,
+                self.scan.range_bearing,
+                self.scan.covariance,
+                self.field_map.positions_covariance,
+                self.scan.robot_from_sensor,
+                max_unexplained=min(max(1, n // 4), n - 2),
+                max_solutions=256,
+            ):
+                matches = np.array([-1 if index is None else index for index in fix.matches])
+                rows = np.flatnonzero(matches >= 0)
+                if self.model.may[rows, matches[rows]].all():
+                    tried.append((matches, fix))
+        tried = [
+            (matches, fix)
+            for matches, fix in tried
+            if fix.chi2 < _CHI2_LIMITS[min(int((matches >= 0).sum()) - 2, len(_CHI2_LIMITS) - 1)]
+        ]
+        if not tried:
+            return PoseSolutions.none()
+        weights = []
+        for matches, fix in tried:
+            rows = np.flatnonzero(matches >= 0)
+            prior = (self.model.log_match - self.model.log_clutter)[rows].sum()
+            peak = -0.5 * (fix.chi2 + sum(np.linalg.slogdet(2 * np.pi * self.scan.covariance[rows])[1]))
+            weights.append(self.log_right + prior + peak + 0.5 * np.linalg.slogdet(2 * np.pi * fix.covariance)[1])
+        order = np.argsort(-np.array(weights), kind="stable")
+        poses = np.array([fix.pose for _, fix in tried])[order]
+        covariances = np.array([fix.covariance for _, fix in tried])[order]
+        return PoseSolutions(
+            poses,
+            se2.rotate_covariance(covariances, -poses[:, 2]),
+            np.array(weights)[order],
+            self._intern(np.array([matches for matches, _ in tried])[order]),
+        )
 
 
 def scan_mixture(scan: LandmarkScan, field: FieldMap, detection: Detection, wider: FloatArray) -> ScanMixture | None:
-    """wider: (m, 2) by how much variances of range and bearing are to be widened, per landmark of the map."""
-    raise NotImplementedError
+    """wider: (m, 2) by how much variances of range and bearing are to be widened, per landmark of the map.
+
+    None where no landmark can be of the map. Left out are landmarks with a label that is not on the map, and numbers
+    that no sensor can mean. ValueError for a covariance that is not positive definite.
+    """
+    index = [None if label is None else field.index_of(label) for label in scan.labels]
+    sound = np.isfinite(scan.range_bearing).all(axis=1) & (scan.range_bearing[:, 0] > 0.0)
+    rows = [
+        row
+        for row, label in enumerate(scan.labels)
+        if sound[row] and (label is None or index[row] is not None) and len(field.landmarks)
+    ]
+    if not rows:
+        return None
+    covariance = scan.covariance[rows]
+    if not (np.linalg.det(covariance) > 0.0).all() or not (covariance[:, 0, 0] > 0.0).all():
+        raise ValueError("covariance of a range and bearing is not positive definite")
+    used = LandmarkScan(
+        scan.stamp_ns,
+        tuple(scan.labels[row] for row in rows),
+        scan.range_bearing[rows],
+        covariance,
+        scan.robot_from_sensor,
+    )
+    m = len(field.landmarks)
+    may = np.array([np.arange(m) == index[row] if index[row] is not None else np.ones(m, dtype=bool) for row in rows])
+    x_min, y_min, x_max, y_max = field.bounds
+    farthest = max(float(np.hypot(x_max - x_min, y_max - y_min)), float(used.range_bearing[:, 0].max()))
+    log_anywhere = -np.log(2 * np.pi * farthest)
+    log_clutter = np.full(len(rows), np.log(detection.clutter) + log_anywhere)
+    model = ScanModel(
+        used.range_bearing,
+        covariance,
+        may,
+        field.positions,
+        field.positions_covariance if field.positions_covariance.any() else None,
+        np.log1p(-detection.clutter) - np.log(may.sum(axis=1)),
+        log_clutter,
+        wider,
+    )
+    named = field.positions[[i for i in (index[row] for row in rows) if i is not None]].reshape(-1, 2)
+    moved = np.asarray(se2.apply(field.symmetries[:, None], named) - named)
+    return ScanMixture(
+        scan.stamp_ns,
+        used,
+        field,
+        model,
+        float(np.log1p(-detection.nothing_right) + log_clutter.sum()),
+        float(
+            np.logaddexp(
+                np.log(detection.nothing_right) + len(rows) * log_anywhere,
+                np.log1p(-detection.nothing_right) + log_clutter.sum(),
+            )
+        ),
+        symmetric=not (np.abs(moved) > 1e-6).any(),
+    )

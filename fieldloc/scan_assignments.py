@@ -1,0 +1,129 @@
+"""Which landmark is which, all of a scan at once: joint assignments one to one, and the quadratics that they are.
+
+Observation by observation as in joint compatibility branch and bound (Neira & Tardos 2001): each that finds its
+landmark narrows the pose down before the next one is held against the map.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldloc import pose as se2
+from fieldloc.mixture import Expansion, IntArray
+from fieldloc.pose import FloatArray
+from fieldloc.scan_model import Pairs, ScanModel
+
+_AT_ONCE = 48  # assignments followed of one hypothesis
+_FORGOTTEN_ON_THE_WAY = 12.0  # log weight below the best one's
+_STRAIGHT = np.array([0.02, 0.02, 0.02])  # m, m, rad: a step that is no longer needs no further linearisation
+
+
+class Assignments(NamedTuple):
+    """parent (c,): row of the pose. matches (c, n): landmark per observation, -1 for none. step (c, 3): where they take
+    the tangent. score (c,): log evidence relative to all being clutter, about."""
+
+    parent: IntArray
+    matches: IntArray
+    step: FloatArray
+    score: FloatArray
+
+    def take(self, rows: IntArray) -> "Assignments":
+        return Assignments(self.parent[rows], self.matches[rows], self.step[rows], self.score[rows])
+
+
+def assign(model: ScanModel, pairs: Pairs, covariances: FloatArray) -> Assignments:
+    """All that are within e^-12 of a pose's best, up to 48 a pose, for poses up to covariances (h, 3, 3).
+
+    All clutter is one of them.
+    """
+    n, h = len(model.range_bearing), len(covariances)
+    count = np.bincount(pairs.pose * n + pairs.row, minlength=h * n)
+    first = (np.cumsum(count) - count).reshape(h, n)
+    count = count.reshape(h, n)
+    parent = np.arange(h)
+    matches = np.full((h, n), -1)
+    step: FloatArray = np.zeros((h, 3))
+    covariance, score = covariances, np.asarray(np.zeros(h))
+    for row in range(n):
+        options = count[parent, row]
+        total = int(options.sum())
+        if not total:
+            continue
+        origin = np.repeat(np.arange(len(parent)), options)
+        pair = first[parent[origin], row] + np.arange(total) - np.repeat(np.cumsum(options) - options, options)
+        if row:
+            free = (matches[origin, :row] != pairs.landmark[pair, None]).all(axis=1)
+            origin, pair = origin[free], pair[free]
+        moved, narrowed, gain = _absorb(pairs, pair, step[origin], covariance[origin])
+        explained = matches[origin]
+        explained[:, row] = pairs.landmark[pair]
+        parent = np.concatenate([parent, parent[origin]])
+        matches = np.concatenate([matches, explained])
+        step, covariance = np.concatenate([step, moved]), np.concatenate([covariance, narrowed])
+        score = np.concatenate([score, score[origin] + gain])
+        keep = _best(parent, score, h)
+        parent, matches, score = parent[keep], matches[keep], score[keep]
+        step, covariance = step[keep], covariance[keep]
+    return Assignments(parent, matches, step, score)
+
+
+def _absorb(
+    pairs: Pairs, pair: IntArray, step: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The Kalman update with one pair each: step (c, 3), covariance (c, 3, 3), and gain in log evidence (c,)."""
+    jacobian = pairs.jacobian[pair]
+    error = pairs.error[pair] + (jacobian @ step[:, :, None])[..., 0]
+    spread = covariance @ np.swapaxes(jacobian, -1, -2)
+    expected = jacobian @ spread + pairs.covariance[pair]
+    xx, xy, yy = expected[:, 0, 0], expected[:, 0, 1], expected[:, 1, 1]
+    det = xx * yy - xy * xy
+    inverse = np.empty_like(expected)
+    inverse[:, 0, 0], inverse[:, 1, 1] = yy / det, xx / det
+    inverse[:, 0, 1] = inverse[:, 1, 0] = -xy / det
+    gain = spread @ inverse
+    weighted = (inverse @ error[:, :, None])[..., 0]
+    log_gain = pairs.log_peak[pair] - 0.5 * (np.log(det) + np.sum(error * weighted, axis=1))
+    return (
+        step - (spread @ weighted[:, :, None])[..., 0],
+        covariance - gain @ np.swapaxes(spread, -1, -2),
+        log_gain,
+    )
+
+
+def _best(parent: IntArray, score: FloatArray, h: int) -> IntArray:
+    """Rows near the best of their parents, in order of these; the best first."""
+    order = np.lexsort((-score, parent))
+    parent, score = parent[order], score[order]
+    begin = np.searchsorted(parent, np.arange(h))
+    rank = np.arange(len(parent)) - begin[parent]
+    return np.asarray(order[(score > score[begin[parent]] - _FORGOTTEN_ON_THE_WAY) & (rank < _AT_ONCE)])
+
+
+def quadratics(
+    model: ScanModel, found: Assignments, poses: FloatArray, covariances: FloatArray, wider: FloatArray
+) -> Expansion:
+    """The assignments as quadratics at their parents among poses (h, 3), straight where they lead; ids are rows, and
+    the constants relative to all being clutter."""
+    covariance = covariances[found.parent]
+    step = found.step
+    for _ in range(2):
+        at = se2.retract(poses[found.parent], step)
+        terms = model.terms(at, found.matches, wider)
+        by_parent = (terms.jacobian @ se2.right_jacobian(step)[:, None]).reshape(len(step), -1, 3)
+        error = terms.error - (by_parent @ step[:, :, None]).reshape(terms.error.shape)
+        weighted = (terms.weight @ error[..., None]).reshape(len(step), -1, 1)
+        weighted_jacobian = (terms.weight @ by_parent.reshape(terms.jacobian.shape)).reshape(by_parent.shape)
+        back = np.swapaxes(by_parent, -1, -2)
+        constant = terms.log_peak.sum(axis=1) - 0.5 * (error.reshape(weighted.shape) * weighted).sum(axis=(1, 2))
+        out = Expansion(
+            found.parent,
+            np.arange(len(step)),
+            constant,
+            -(back @ weighted)[..., 0],
+            back @ weighted_jacobian,
+            covariance,
+        )
+        if (np.abs(out.step - step) < _STRAIGHT).all():
+            break
+        step = out.step
+    return out
