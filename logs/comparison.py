@@ -52,7 +52,8 @@ def compare(
             runs.append(RunResult(name, from_estimates(()), np.zeros(0), 0.0))
             failures.append(f"{name}: {error}")
             continue
-        runs.append(RunResult(name, from_estimates(done.estimates), done.update_s, done.total_s))
+        trajectory = from_estimates(done.estimates)
+        runs.append(RunResult(name, trajectory, done.update_s, done.total_s, done.ambiguities, done.events))
         warnings |= dict.fromkeys(done.warnings)
     result = LogResult(recording.name, recording.duration_s, recording.field, truth, tuple(runs))
     return Comparison(score(result), tuple(failures), tuple(warnings))

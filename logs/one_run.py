@@ -5,6 +5,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from estimators.base import Ambiguity, Event
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Truth
 from logs.association import DEFAULT_MAX_DIFFERENCE_S
@@ -25,7 +26,8 @@ def load_runs(results: Sequence[LogFile], truth: LogFile | None = None, field: F
         raise ValueError("no results")
     runs = []
     for log, name in zip(results, run_names(results), strict=True):
-        runs.append(RunResult(name, read_estimates(log), np.zeros(0), _total_s(log)))
+        ambiguities, events = tuple(log.records(Ambiguity)), tuple(log.records(Event))
+        runs.append(RunResult(name, read_estimates(log), np.zeros(0), _total_s(log), ambiguities, events))
     true = read_truth(truth) if truth is not None else _own_truth(results)
     maps = [field, *(log.field_map() for log in results)]
     if truth is not None:

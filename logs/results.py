@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimators.base import Ambiguity, Event
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
 from fieldloc.pose import FloatArray
@@ -18,12 +19,22 @@ Json = float | int | str | None | Sequence["Json"] | dict[str, "Json"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResult:
-    """One estimator on one log. update_s: (k,) seconds of each update; total_s: of the run. Unknown: empty, 0."""
+    """One estimator on one log. update_s: (k,) seconds of each update; total_s: of the run. Unknown: empty, 0.
+
+    ambiguities, events: what it said of its hypotheses while it ran; empty if it has none.
+    """
 
     name: str
     trajectory: Trajectory
     update_s: FloatArray
     total_s: float
+    ambiguities: tuple[Ambiguity, ...] = ()
+    events: tuple[Event, ...] = ()
+
+    @property
+    def mirrored(self) -> float | None:
+        """P(mirrored) at the end; None where it was never said."""
+        return self.ambiguities[-1].mirrored if self.ambiguities else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,10 +106,12 @@ def _log_document(scored: ScoredLog) -> dict[str, Json]:
 def _run_document(scored: ScoredRun, duration_s: float) -> dict[str, Json]:
     out: dict[str, Json] = dict(scored.metrics.to_dict()) if scored.metrics else {"note": scored.note}
     total_s = scored.run.total_s
+    said: dict[str, Json] = {} if scored.run.mirrored is None else {"mirrored": scored.run.mirrored}
     return out | {
         "updates": len(scored.run.update_s),
         "update_median_s": scored.update_median_s,
         "update_p99_s": scored.update_p99_s,
         "total_s": total_s or None,
         "log_time_per_total_time": duration_s / total_s if total_s > 0 else None,
+        **said,
     }

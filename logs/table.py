@@ -75,6 +75,7 @@ def log_table(scored: ScoredLog) -> Table:
         _Column("update [ms]", "p99", lambda run: _milli(run.update_p99_s), "{:.2f}", None),
         _Column("total", "[s]", lambda run: run.run.total_s or None, "{:.2f}", None),
         _Column("log time", "/ total", lambda run: _ratio(duration_s, run.run.total_s), "{:.0f}", None),
+        _Column("mirrored", "at end", lambda run: run.run.mirrored, "{:.3f}", None),
     ]
     return _table([run.run.name for run in scored.runs], columns, scored.runs, [True] * len(scored.runs))
 

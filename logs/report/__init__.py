@@ -13,9 +13,11 @@ from matplotlib.figure import Figure
 from logs.atomic import atomic_directory
 from logs.report.error_picture import error_picture
 from logs.report.field_picture import field_picture
+from logs.report.hypotheses_picture import hypotheses_picture
 from logs.report.page import Picture, Section, page
 from logs.report.style import DPI, colours, pictures_style
-from logs.results import ScoredLog, metrics_document
+from logs.results import RunResult, ScoredLog, metrics_document
+from logs.trajectory import Trajectory
 
 PAGE, METRICS = "report.html", "metrics.json"
 
@@ -61,6 +63,12 @@ def _sketches(scored: ScoredLog, stem: str, colour_of: Mapping[str, str]) -> Ite
         yield _Sketch(f"{stem}-field", "Trajectories on the field", partial(field_picture, scored, colour_of))
     truth = scored.log.truth
     for run in scored.runs:
+        if run.run.ambiguities:
+            yield _Sketch(
+                f"{stem}-{_plain(run.run.name)}-hypotheses",
+                f"{run.run.name}: hypotheses over time",
+                partial(_hypotheses, run.run, truth),
+            )
         if truth is None or run.errors is None or run.metrics is None:
             continue
         errors, metrics, name = run.errors, run.metrics, run.run.name
@@ -69,6 +77,13 @@ def _sketches(scored: ScoredLog, stem: str, colour_of: Mapping[str, str]) -> Ite
             f"{name}: errors over time",
             partial(error_picture, name, errors, metrics, truth, colour_of[name]),
         )
+
+
+def _hypotheses(run: RunResult, truth: Trajectory | None) -> Figure:
+    """On the time axis of the errors, from the first true pose to the last, where there are some."""
+    told = [one.stamp_ns for one in run.ambiguities]
+    span = told if truth is None or not len(truth) else truth.stamps_ns
+    return hypotheses_picture(run.name, run.ambiguities, run.events, int(span[0]), int(span[-1]))
 
 
 def _png(figure: Figure) -> bytes:

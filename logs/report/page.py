@@ -154,4 +154,8 @@ is wider, and a value a little outside is no proof.</dd>
 outlines are drawn.</dd>
 <dt>Errors</dt><dd>Shaded: ±3σ as claimed. NEES: x, y and heading together, dashed its 99.73 % quantile. Grey: no
 estimate, or no truth to compare with.</dd>
+<dt>Hypotheses</dt><dd>Weights of the poses that the robot may have, as the estimator told them while it ran, stacked: a
+colour each; light grey: all others; dark grey: it may be anywhere. P(mirrored): that the robot stands where the map's
+symmetry takes the estimate to; 0.5: nobody can tell. Marks: moments at which hypotheses began, split, merged, one was
+left or one side, and the robot was found elsewhere.</dd>
 </dl></section>"""

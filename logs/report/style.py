@@ -6,6 +6,10 @@ from contextlib import contextmanager
 import matplotlib as mpl
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+TRACKS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#7B61B5", "#C9BC2B")
+"""Of hypotheses, one of logs.shares.COLOURS each."""
+OTHERS = "#E3E6EA"
+LOST = "#8A929C"
 INK = "#1F2328"
 SOFT_INK = "#57606A"
 TRUTH = "#A3A8B0"
