@@ -1,6 +1,5 @@
 """What the lines of an image can be on the map, as anchors for its posts."""
 
-import numpy as np
 
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap

@@ -6,9 +6,9 @@ from fieldloc import pose as se2
 from fieldloc.camera import Camera
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
+from fieldloc.fixes.line_solutions import log_clutter
 from fieldloc.fixes.lines import lines_on_the_ground
 from fieldloc.image_anchors import Anchors, joined, nothing
-from fieldloc.fixes.line_solutions import log_clutter
 from fieldloc.image_lines import line_anchors
 from fieldloc.image_posts import PostsSeen, posts_seen
 from fieldloc.image_readings import one_turn, read
