@@ -1,0 +1,138 @@
+"""The hypotheses of a Gaussian sum as arrays, moved and corrected all at once.
+
+Each is a Gaussian over ten numbers: the robot-frame tangent at its pose, what the odometry gets wrong
+(OdometryCalibration) and the compass' offset. The map may look the same from several poses: then a hypothesis stands
+for all of these copies, which are equally precise, and has a weight for each. That is the symmetry folded: no copy can
+be lost while nothing tells it from the others.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimators.motion import Increment, OdometryCalibration
+from fieldloc import pose as se2
+from fieldloc.mixture import Expansion, IntArray
+from fieldloc.pose import FloatArray
+
+CALIBRATION = len(OdometryCalibration._fields)
+SIZE = 3 + CALIBRATION + 1
+OFFSET = SIZE - 1  # of the compass, in the covariance
+EXTRA = SIZE - 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bank:
+    """h hypotheses, each with a weight for each of c copies.
+
+    poses: (h, 3) of copy 0; copy i is at compose(copies[i], pose). extra: (h, 7) calibration and compass offset.
+    covariances: (h, 10, 10). log_weights: (h, c). parents: (h,) row in the bank before the last observation, -1 for one
+    that began with it; choices: (h,) which of that observation's solutions it took, -1 for none. found: (h,) whether
+    it began as a robot that was carried and has not been the best since.
+    """
+
+    poses: FloatArray
+    extra: FloatArray
+    covariances: FloatArray
+    log_weights: FloatArray
+    parents: IntArray
+    choices: IntArray
+    found: IntArray
+
+    @staticmethod
+    def empty(copies: int) -> "Bank":
+        none = np.zeros(0, dtype=np.intp)
+        return Bank(
+            np.zeros((0, 3)), np.zeros((0, EXTRA)), np.zeros((0, SIZE, SIZE)), np.zeros((0, copies)), none, none, none
+        )
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def take(self, rows: IntArray) -> "Bank":
+        return Bank(
+            self.poses[rows],
+            self.extra[rows],
+            self.covariances[rows],
+            self.log_weights[rows],
+            self.parents[rows],
+            self.choices[rows],
+            self.found[rows],
+        )
+
+    def joined(self, other: "Bank") -> "Bank":
+        if not len(other):
+            return self
+        if not len(self):
+            return other
+        return Bank(
+            np.concatenate([self.poses, other.poses]),
+            np.concatenate([self.extra, other.extra]),
+            np.concatenate([self.covariances, other.covariances]),
+            np.concatenate([self.log_weights, other.log_weights]),
+            np.concatenate([self.parents, other.parents]),
+            np.concatenate([self.choices, other.choices]),
+            np.concatenate([self.found, other.found]),
+        )
+
+    @property
+    def totals(self) -> FloatArray:
+        """(h,) log-weights of all copies together."""
+        if self.log_weights.shape[1] == 1:
+            return self.log_weights[:, 0]
+        return np.asarray(np.logaddexp.reduce(self.log_weights, axis=1))
+
+    def moved(self, motion: Increment, calibration: FloatArray, offset_left: float, offset_gain: float) -> "Bank":
+        """After a motion, which is that of an odometry with the calibration (6,); others differ from it linearly.
+
+        offset_left, offset_gain: share of the compass' offset that stays, variance that it gains.
+        """
+        poses, extra = se2.compose(self.poses, motion.before_from_after), self.extra.copy()
+        if len(poses) > 1:
+            poses = se2.retract(poses, (extra[:, :CALIBRATION] - calibration) @ motion.by_calibration.T)
+        extra[:, CALIBRATION] *= offset_left
+        step = np.eye(SIZE)
+        step[:3, :3] = se2.adjoint(se2.inverse(motion.before_from_after))
+        step[:3, 3:OFFSET] = motion.by_calibration
+        step[OFFSET, OFFSET] = offset_left
+        covariances = step @ self.covariances @ step.T
+        covariances[:, :3, :3] += motion.covariance
+        covariances[:, OFFSET, OFFSET] += offset_gain
+        return replace(self, poses=poses, extra=extra, covariances=covariances)
+
+    def corrected(self, rows: IntArray, seen: Expansion, log_weights: FloatArray, by_compass: bool) -> "Bank":
+        """Children (c,): of `rows`, each with the quadratic of the expansion taken in.
+
+        by_compass: the quadratic is about the heading plus the compass' offset.
+        """
+        covariances = self.covariances[rows]
+        by_pose = covariances[:, :, :3]
+        if by_compass:
+            by_pose = by_pose.copy()
+            by_pose[:, :, 2] += covariances[:, :, OFFSET]
+        # (1 + P I)^-1, by which P becomes the updated covariance, is taken to all ten numbers (matrix inversion lemma)
+        shrink = np.linalg.inv(np.eye(3) + seen.covariance @ seen.information)
+        step = (by_pose @ (np.swapaxes(shrink, -1, -2) @ seen.gradient[:, :, None]))[:, :, 0]
+        covariances = covariances - by_pose @ (seen.information @ shrink) @ np.swapaxes(by_pose, -1, -2)
+        turned = se2.right_jacobian(step[:, :3])
+        covariances[:, :3] = turned @ covariances[:, :3]
+        covariances[:, :, :3] = covariances[:, :, :3] @ np.swapaxes(turned, -1, -2)
+        return Bank(
+            se2.retract(self.poses[rows], step[:, :3]),
+            self.extra[rows] + step[:, 3:],
+            0.5 * (covariances + np.swapaxes(covariances, -1, -2)),
+            log_weights,
+            rows,
+            seen.ids,
+            self.found[rows],
+        )
+
+
+def gaussian(pose: FloatArray, covariance: FloatArray, extra: FloatArray, known: FloatArray, copies: int) -> Bank:
+    """One hypothesis (3,), (3, 3) in its robot frame, on copy 0 for sure. known: (7, 7) covariance of `extra` (7,)."""
+    covariances = np.zeros((1, SIZE, SIZE))
+    covariances[0, :3, :3], covariances[0, 3:, 3:] = covariance, known
+    log_weights = np.full((1, copies), -np.inf)
+    log_weights[0, 0] = 0.0
+    none = np.array([-1])
+    return Bank(pose[None].copy(), extra[None].copy(), covariances, log_weights, none, none, np.array([0]))

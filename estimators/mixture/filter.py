@@ -1,0 +1,262 @@
+"""Gaussian-sum filter over all places where the robot may be (Alspach & Sorenson 1972; multi-hypothesis localization).
+
+Motion moves all hypotheses, an observation splits each into what it allows, those that say the same merge, the
+unlikely go. The robot may also be at none of them: lost, at the start or because it was carried. Then an observation
+finds it at any of its solutions. So the start from nothing, the start in a region and recovery are one and the same.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimators.base import Ambiguity, Estimate, Event, Innovation
+from estimators.config import Config
+from estimators.divergence import Restart
+from estimators.mixture import report
+from estimators.mixture.bank import CALIBRATION, EXTRA, OFFSET, SIZE, Bank, gaussian
+from estimators.mixture.lineage import Lineage
+from estimators.mixture.lost import UNKNOWN, Lost
+from estimators.mixture.merge import merged
+from estimators.mixture.sides import Sides
+from estimators.mixture.split import Children, met, total
+from estimators.mixture.watch import Watch
+from estimators.modes import ModeSequence
+from estimators.motion import STANDSTILL, HeldVelocity
+from fieldloc import pose as se2
+from fieldloc.factors import Factor, HeadingFactor, PoseFactor
+from fieldloc.measurements import Odometry
+from fieldloc.mixture import MixtureFactor, PoseSolutions
+from fieldloc.pose import FloatArray
+from fieldloc.regions import Region
+
+_DOUBT = np.log(0.1)  # of all being wrong: an observation is asked for its own poses
+_LOST = np.log(0.01)
+_ASK_EVERY_NS = 1_000_000_000
+_CROWD = 4  # times as many as may stay are compared for being alike
+
+
+class MixtureFilter:
+    """Starts at the first observation that holds whole poses, unless `start` or `start_in` is called before.
+
+    symmetries: (s, 3) poses that map the field onto itself; `start_in` brings those of its region. remember: keep all
+    choices for `sequences`.
+    """
+
+    def __init__(self, config: Config, symmetries: FloatArray | None = None, remember: bool = False) -> None:
+        self._config = config
+        self._motion = HeldVelocity(config.motion)
+        self._restart = Restart(config.robust.restart_after)
+        self._watch = Watch()
+        self._sides = Sides.of(np.zeros((0, 3)) if symmetries is None else symmetries)
+        self._bank = Bank.empty(len(self._sides))
+        self._lost = Lost.within(UNKNOWN, 0.0)
+        self._lineage = Lineage.none(len(self._sides), remember)
+        self._extra = np.zeros(EXTRA)
+        self._known = np.diag(np.append(config.calibration.sigmas(), config.compass.offset_sigma_rad) ** 2)
+        self._first = (0, 0)  # row and copy of the best
+        self._last: FloatArray | None = None  # its pose
+        self._pending, self._pending_s = STANDSTILL, 0.0
+        self._asked_ns: int | None = None
+
+    def start(self, estimate: Estimate) -> None:
+        self.advance(estimate.stamp_ns)
+        self._believe(estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
+        self._watch.begin(self._now_ns, "the start was given")
+
+    def start_in(self, region: Region, stamp_ns: int) -> None:
+        self.advance(stamp_ns)
+        self._settle()
+        self._sides = Sides.of(region.symmetries)
+        self._bank = Bank.empty(len(self._sides))
+        self._lost = Lost.within(region, 0.0)
+        self._lineage.begin(self._bank)
+        self._restart.forget()
+        self._watch.forget(decided=False)
+        self._last = self._asked_ns = None
+
+    def predict(self, odometry: Odometry) -> None:
+        self.advance(odometry.stamp_ns)
+        self._motion.hold(odometry)
+
+    def advance(self, stamp_ns: int) -> None:
+        before_ns = self._motion.stamp_ns
+        motion = self._motion.advance(stamp_ns)
+        if motion is None or before_ns is None:
+            return
+        self._pending_s += (stamp_ns - before_ns) * 1e-9
+        if len(self._bank):
+            # gathered, as the odometry of the best hypothesis has it; others differ linearly
+            motion = motion.calibrated(self._extra[:CALIBRATION])
+            self._pending = self._pending.then(motion)
+            self._restart.advance(motion)
+
+    def update(self, factor: Factor) -> Innovation | None:
+        """A factor of one solution: as an extended Kalman filter does, in each of the hypotheses."""
+        self.advance(factor.stamp_ns)
+        if not len(self._bank):
+            if isinstance(factor, PoseFactor):
+                self._believe(factor.pose, factor.covariance)
+                self._watch.begin(self._now_ns, "a whole pose")
+            return None
+        self._settle()
+        children, innovation, log_unknown = met(
+            self._bank, self._sides, factor, self._config.robust.nis_per_dof, self._first
+        )
+        if (elsewhere := self._restart.consider(factor, disagrees=innovation.weight < 1.0)) is not None:
+            self._believe(elsewhere.pose, elsewhere.covariance)
+            self._watch.recovered(self._now_ns)
+            return innovation
+        none = Bank.empty(len(self._sides))
+        by_compass = isinstance(factor, HeadingFactor) and factor.by_compass
+        self._take(children, none, self._lost.log_weights + log_unknown, by_compass, choice=False)
+        return innovation
+
+    def observe(self, mixture: MixtureFactor) -> None:
+        self.advance(mixture.stamp_ns)
+        self._settle()
+        children = Children.of(self._bank, self._sides, mixture)
+        solutions = mixture.solutions() if self._asks(children, mixture) else None
+        missed = self._lost.missed(mixture, solutions)
+        births = self._born(solutions or PoseSolutions.none(), mixture.symmetric)
+        self._take(children, births, missed, mixture.by_compass, choice=True)
+
+    def estimate(self) -> Estimate | None:
+        if not len(self._bank):
+            return None
+        row, copy = self._first
+        whole = self._config.mixture.whole_covariance
+        bank = self._moved(self._bank if whole else self._bank.take(np.array([row])))
+        at = row if whole else 0
+        pose = se2.compose(self._sides.copies[copy], bank.poses[at])
+        if whole:
+            return Estimate(self._now_ns, pose, report.covariance_about(pose, bank, self._sides))
+        return Estimate(self._now_ns, pose, se2.rotate_covariance(bank.covariances[at, :3, :3], pose[2]))
+
+    def ambiguity(self) -> Ambiguity | None:
+        if not len(self._bank):
+            return None
+        lost = float(np.exp(self._fed().total))
+        return report.ambiguity(
+            self._now_ns, self._moved(self._bank), self._sides, self._first, self._lineage.tracks, lost
+        )
+
+    @property
+    def events(self) -> Sequence[Event]:
+        return tuple(self._watch.events)
+
+    def sequences(self, count: int) -> tuple[ModeSequence, ...]:
+        """The likeliest ways to read all mixtures observed since the start, best first: one for each hypothesis on each
+        copy that is alive. ValueError unless it was made to remember."""
+        if not self._lineage.remember:
+            raise ValueError("made without remember=True: the choices of the past are not kept")
+        return self._lineage.sequences(self._bank, self._sides, count)
+
+    @property
+    def _now_ns(self) -> int:
+        assert self._motion.stamp_ns is not None
+        return self._motion.stamp_ns
+
+    def _believe(self, pose: FloatArray, robot_covariance: FloatArray) -> None:
+        """One place, one side. What is known of the odometry and the compass stays known."""
+        self._settle()
+        self._bank = gaussian(pose, robot_covariance, self._extra, self._known, len(self._sides))
+        self._lost = self._lost.after(np.array([-np.inf, -np.inf]))
+        self._first, self._last = (0, 0), pose
+        self._asked_ns = self._now_ns
+        self._lineage.begin(self._bank)
+        self._restart.forget()
+        self._watch.forget(decided=True)
+
+    def _settle(self) -> None:
+        """Do what the time that passed has left to be done."""
+        self._bank, self._lost = self._moved(self._bank), self._fed()
+        if len(self._bank):
+            row, copy = self._first
+            self._known = self._bank.covariances[row, 3:, 3:]
+            self._extra = self._bank.extra[row]
+            self._last = se2.compose(self._sides.copies[copy], self._bank.poses[row])
+            self._bank = replace(self._bank, log_weights=self._bank.log_weights + np.log1p(-self._carried))
+        self._pending, self._pending_s = STANDSTILL, 0.0
+
+    @property
+    def _carried(self) -> float:
+        """Probability that the robot was carried away in the time that passed."""
+        return -math.expm1(-self._config.mixture.kidnaps_per_min / 60.0 * self._pending_s)
+
+    def _fed(self) -> Lost:
+        return self._lost.fed(self._carried) if self._carried > 0.0 else self._lost
+
+    def _moved(self, bank: Bank) -> Bank:
+        if self._pending_s == 0.0 or not len(bank):
+            return bank
+        left, gain = self._config.compass.wander(self._pending_s)
+        return bank.moved(self._pending, self._extra[:CALIBRATION], left, gain)
+
+    def _asks(self, children: Children, mixture: MixtureFactor) -> bool:
+        """Whether the observation is to say itself where the robot may be, which may take it long: if that is not
+        known, if nothing known explains it, and now and then. The approximation: at other times the lost robot is not
+        found, though it is unlikely that it is lost."""
+        if mixture.by_compass:
+            return False
+        late = self._asked_ns is None or self._now_ns - self._asked_ns >= _ASK_EVERY_NS
+        if not (late or self._lost.total > _LOST or children.blind > children.total + _DOUBT):
+            return False
+        self._asked_ns = self._now_ns
+        return True
+
+    def _born(self, solutions: PoseSolutions, symmetric: bool) -> Bank:
+        count = len(solutions.ids)
+        if not count:
+            return Bank.empty(len(self._sides))
+        log_weights, found = self._lost.found(solutions, self._sides.copies, symmetric)
+        extra, covariances = np.zeros((count, EXTRA)), np.zeros((count, SIZE, SIZE))
+        extra[:, :CALIBRATION] = self._extra[:CALIBRATION]
+        covariances[:, :3, :3] = solutions.covariances
+        covariances[:, 3:OFFSET, 3:OFFSET] = self._known[:CALIBRATION, :CALIBRATION]
+        covariances[:, OFFSET, OFFSET] = self._config.compass.offset_sigma_rad**2
+        none = np.full(count, -1)
+        return Bank(solutions.poses, extra, covariances, log_weights, none, solutions.ids, found.astype(np.intp))
+
+    def _take(self, children: Children, births: Bank, missed: FloatArray, by_compass: bool, choice: bool) -> None:
+        tracked = np.logaddexp(children.total, total(births.log_weights))
+        everything = np.logaddexp(tracked, total(missed))
+        if not np.isfinite(everything):
+            return  # beyond all that was thought of
+        started = not len(self._bank)
+        settings = self._config.mixture
+        least = tracked + np.log(settings.prune_below)
+        bank = children.born(self._bank, least, by_compass) if not started else self._bank
+        bank = bank.joined(births.take(np.flatnonzero(births.totals >= least)))
+        self._lost = self._lost.after(missed - everything)
+        if not len(bank):
+            return
+        if len(bank) > _CROWD * settings.max_hypotheses:
+            bank = bank.take(np.argsort(-bank.totals, kind="stable")[: _CROWD * settings.max_hypotheses])
+        bank = replace(bank, log_weights=bank.log_weights - everything)
+        if len(bank) > 1:
+            crowd = bank
+            bank, into = merged(crowd, self._sides)
+            self._watch.merges(self._now_ns, crowd, into)
+            bank = bank.take(np.arange(min(len(bank), settings.max_hypotheses)))
+        left = total(bank.log_weights)
+        bank = replace(bank, log_weights=bank.log_weights + (tracked - everything - left))
+        self._settle_on(bank, choice, started)
+
+    def _settle_on(self, bank: Bank, choice: bool, started: bool) -> None:
+        """These are the hypotheses from now on."""
+        before = self._first[0]
+        self._bank = bank
+        self._first = row, copy = report.best(bank, self._sides, self._last)
+        self._last = se2.compose(self._sides.copies[copy], bank.poses[row])
+        self._extra, self._known = bank.extra[row], bank.covariances[row, 3:, 3:]
+        self._lineage.follow(bank, before, choice)
+        if started:
+            self._watch.begin(self._now_ns, f"{len(bank) * len(self._sides)} places are possible")
+        elif bank.found[row]:
+            self._watch.recovered(self._now_ns)
+        if started or bank.found[row]:
+            bank.found[:] = 0
+        other = report.mirrored(self._last, bank, self._sides, float(np.exp(self._lost.total)))
+        self._watch.look(self._now_ns, np.exp(bank.log_weights), self._lineage.tracks, self._first, other)

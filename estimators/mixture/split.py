@@ -1,0 +1,143 @@
+"""An observation splits each hypothesis into one child per solution that it allows, and one that explains nothing."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimators.base import Innovation
+from estimators.mixture.bank import CALIBRATION, OFFSET, Bank
+from estimators.mixture.sides import Sides
+from fieldloc import pose as se2
+from fieldloc.covariance import squared_mahalanobis
+from fieldloc.factors import Factor, HeadingFactor
+from fieldloc.mixture import Expansion, IntArray, MixtureFactor
+from fieldloc.pose import FloatArray
+
+_ALIVE = 40.0  # nats beside the likeliest
+_NOBODY = np.zeros(0, dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What the hypotheses see: each once, or once from each copy that is alive.
+
+    rows, copies: (v,) which; the copy is 0 where all of them see the same. poses: (v, 3), covariances: (v, 3, 3).
+    log_weights: (v, c) of what sees it.
+    """
+
+    rows: IntArray
+    copies: IntArray
+    poses: FloatArray
+    covariances: FloatArray
+    log_weights: FloatArray
+
+    @staticmethod
+    def of(bank: Bank, sides: Sides, symmetric: bool, by_compass: bool) -> "Sight":
+        covariances = bank.covariances[:, :3, :3]
+        if symmetric or len(sides) == 1:
+            rows, poses, log_weights = np.arange(len(bank)), bank.poses, bank.log_weights
+            copy = np.zeros_like(rows)
+        else:
+            rows, copy = np.nonzero(bank.log_weights > bank.log_weights.max() - _ALIVE)
+            poses, covariances = se2.compose(sides.copies[copy], bank.poses[rows]), covariances[rows]
+            log_weights = np.full((len(rows), len(sides)), -np.inf)
+            log_weights[np.arange(len(rows)), copy] = bank.log_weights[rows, copy]
+        if by_compass:
+            turned = np.eye(3, OFFSET + 1)
+            turned[2, OFFSET] = 1.0
+            poses = poses + np.array([0.0, 0.0, 1.0]) * bank.extra[rows, CALIBRATION, None]
+            covariances = turned @ bank.covariances[rows] @ turned.T
+        return Sight(rows, copy, poses, covariances, log_weights)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Children:
+    """Not made yet: seen is what each takes in, parents (k,) rows, log_weights (k, c). The last ones take nothing."""
+
+    seen: Expansion
+    parents: IntArray
+    log_weights: FloatArray
+    blind_rows: IntArray
+    blind_weights: FloatArray
+
+    @staticmethod
+    def of(bank: Bank, sides: Sides, mixture: MixtureFactor) -> "Children":
+        if not len(bank):
+            none = np.zeros((0, len(sides)))
+            return Children(_nothing(), _NOBODY, none, _NOBODY, none)
+        sight = Sight.of(bank, sides, mixture.symmetric, mixture.by_compass)
+        seen = mixture.expand(sight.poses, sight.covariances)
+        log_weights = sight.log_weights[seen.parent] + seen.evidence[:, None]
+        return Children(seen, sight.rows[seen.parent], log_weights, sight.rows, sight.log_weights + mixture.log_outlier)
+
+    @property
+    def total(self) -> float:
+        return float(np.logaddexp(total(self.log_weights), total(self.blind_weights)))
+
+    @property
+    def blind(self) -> float:
+        """Log-weight of those that explain nothing."""
+        return total(self.blind_weights)
+
+    def born(self, bank: Bank, least: float, by_compass: bool) -> Bank:
+        """Those whose log-weight is at least that."""
+        keep = np.flatnonzero(np.logaddexp.reduce(self.log_weights, axis=1) >= least)
+        s = self.seen
+        seen = Expansion(
+            s.parent[keep], s.ids[keep], s.constant[keep], s.gradient[keep], s.information[keep], s.covariance[keep]
+        )
+        out = bank.corrected(self.parents[keep], seen, self.log_weights[keep], by_compass)
+        keep = np.flatnonzero(np.logaddexp.reduce(self.blind_weights, axis=1) >= least)
+        if not len(keep):
+            return out
+        rows = self.blind_rows[keep]
+        blind = bank.take(rows)
+        return out.joined(
+            replace(blind, log_weights=self.blind_weights[keep], parents=rows, choices=np.full(len(rows), -1))
+        )
+
+
+def met(
+    bank: Bank, sides: Sides, factor: Factor, nis_per_dof: float, first: tuple[int, int]
+) -> tuple[Children, Innovation, float]:
+    """A plain factor: one child each, the factor widened where it disagrees, so that none is ever ignored for good.
+
+    Beside the children: how it met the `first` (row, copy), and its log-density for a robot that is at none of the
+    hypotheses, which is that of an innovation just not widened.
+    """
+    by_compass = isinstance(factor, HeadingFactor) and factor.by_compass
+    sight = Sight.of(bank, sides, symmetric=False, by_compass=by_compass)
+    residual = factor.error(sight.poses)
+    jacobian = np.array([factor.jacobian(pose) for pose in sight.poses])
+    back = np.swapaxes(jacobian, -1, -2)
+    expected = jacobian @ sight.covariances @ back + factor.covariance
+    nis = squared_mahalanobis(residual, expected)
+    edge = nis_per_dof * residual.shape[1]
+    weight = np.minimum(1.0, edge / np.maximum(nis, 1e-300))
+    precision = np.linalg.inv(factor.covariance) * weight[:, None, None]
+    weighted = precision @ residual[:, :, None]
+    log_det = np.linalg.slogdet(precision / (2.0 * np.pi))[1]
+    each = np.arange(len(residual))
+    seen = Expansion(
+        each,
+        np.zeros_like(each),
+        0.5 * (log_det - np.sum(residual * weighted[:, :, 0], axis=1)),
+        -(back @ weighted)[:, :, 0],
+        back @ precision @ jacobian,
+        sight.covariances,
+    )
+    log_weights = sight.log_weights + seen.evidence[:, None]
+    children = Children(seen, sight.rows, log_weights, _NOBODY, np.zeros((0, len(sides))))
+    at = int(np.flatnonzero((sight.rows == first[0]) & (sight.copies == first[1]))[0])
+    innovation = Innovation(factor.stamp_ns, residual[at], expected[at], float(nis[at]), float(weight[at]))
+    log_unknown = -0.5 * (edge + np.linalg.slogdet(2.0 * np.pi * expected[at])[1])
+    return children, innovation, float(log_unknown)
+
+
+def total(log_weights: FloatArray) -> float:
+    """Logarithm of the sum of what they are the logarithms of."""
+    return float(np.logaddexp.reduce(np.ravel(log_weights), initial=-np.inf))
+
+
+def _nothing() -> Expansion:
+    return Expansion(_NOBODY, _NOBODY, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
