@@ -21,7 +21,7 @@ def test_a_benchmark_prints_its_table(capsys, name, options, said):
     assert main([name, *options]) == 0
     text = capsys.readouterr().out
     assert [word for word in said if word not in text] == []
-    assert set(BENCHMARKS) == {"reading", "writing"}
+    assert {"reading", "writing"} <= set(BENCHMARKS)
 
 
 def test_without_a_name_they_are_listed(capsys):
