@@ -73,16 +73,15 @@ class Camera:
     def ray(self, pixels: FloatArray) -> tuple[FloatArray, lens.Mask]:
         """Unit rays (..., 3) of pixels (..., 2), on the image or beside it, and where there is one; NaN elsewhere."""
         plane = (np.asarray(pixels, dtype=np.float64) - self._centre) / self._focal
-        return lens.unproject(self.model, self.distortion, plane)
+        rays, _, exists = lens.unproject(self.model, self.distortion, plane)
+        return rays, exists
 
     def ray_and_jacobian(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray, lens.Mask]:
         """As `ray`, with the unit rays' change with their pixels (..., 3, 2) in the middle."""
-        rays, exists = self.ray(pixels)
-        # the rows of the projection's Jacobian stand at right angles to the ray: its pseudo-inverse keeps the length
-        forward = np.where(exists[..., None, None], self.project_jacobian(rays), np.eye(2, 3))
-        transposed = np.swapaxes(forward, -1, -2)
-        inverse = transposed @ np.linalg.inv(forward @ transposed)
-        return rays, np.where(exists[..., None, None], inverse, np.nan), exists
+        focal = self._focal
+        plane = (np.asarray(pixels, dtype=np.float64) - self._centre) / focal
+        rays, jacobian, exists = lens.unproject(self.model, self.distortion, plane)
+        return rays, jacobian / focal, exists
 
     def contains(self, pixels: FloatArray) -> lens.Mask:
         """Whether pixels (..., 2) are on the image."""

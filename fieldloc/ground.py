@@ -4,6 +4,8 @@ The paper's inverse projection (sec. 2.2, the matrix before eqs. 14-15) for any 
 lens with distortion. robot_from_camera = turn left by pan, then look down by tilt, then roll about the optical axis.
 """
 
+import math
+
 import numpy as np
 
 from fieldloc.camera import Camera
@@ -11,19 +13,27 @@ from fieldloc.lens import Mask
 from fieldloc.measurements import CameraMount
 from fieldloc.pose import FloatArray
 
-# columns: the camera's right, down and forward in the robot's axes (forward, left, up) while all angles are zero
-_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-
 
 def robot_from_camera(mount: CameraMount) -> FloatArray:
     """Rotation (3, 3) of camera rays into the robot's axes (x forward, y left, z up)."""
-    return np.asarray(_about_z(mount.pan_rad) @ _about_y(mount.tilt_rad) @ _about_x(mount.roll_rad) @ _LEVEL)
+    cp, sp = math.cos(mount.pan_rad), math.sin(mount.pan_rad)
+    ct, st = math.cos(mount.tilt_rad), math.sin(mount.tilt_rad)
+    cr, sr = math.cos(mount.roll_rad), math.sin(mount.roll_rad)
+    # R_z(pan) R_y(tilt) R_x(roll), and then the camera's axes: right, down and forward are -y, -z and x
+    return np.array(
+        [
+            [cr * sp - sr * cp * st, -sr * sp - cr * cp * st, cp * ct],
+            [-cr * cp - sr * sp * st, sr * cp - cr * sp * st, sp * ct],
+            [-sr * ct, -cr * ct, -st],
+        ]
+    )
 
 
 def attitude_axes(mount: CameraMount) -> FloatArray:
     """(3, 3), a row each: the robot-frame axes about which a small change of pan, tilt and roll turns the camera."""
-    pan = _about_z(mount.pan_rad)
-    return np.stack([np.array([0.0, 0.0, 1.0]), pan[:, 1], (pan @ _about_y(mount.tilt_rad))[:, 0]])
+    cp, sp = math.cos(mount.pan_rad), math.sin(mount.pan_rad)
+    ct, st = math.cos(mount.tilt_rad), math.sin(mount.tilt_rad)
+    return np.array([[0.0, 0.0, 1.0], [-sp, cp, 0.0], [cp * ct, sp * ct, -st]])
 
 
 def robot_ground_points(camera: Camera, mount: CameraMount, pixels: FloatArray) -> tuple[FloatArray, Mask]:
@@ -89,7 +99,10 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross products (..., 3), broadcast; numpy's own takes twice as long on the few vectors of an image."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     u, v, w = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+    first = y * w - z * v
+    out = np.empty((*first.shape, 3))
+    out[..., 0], out[..., 1], out[..., 2] = first, z * u - x * w, x * v - y * u
+    return out
 
 
 def block_diagonal(blocks: FloatArray) -> FloatArray:
@@ -104,18 +117,3 @@ def block_diagonal(blocks: FloatArray) -> FloatArray:
 def _below(mount: CameraMount) -> FloatArray:
     """The camera's foot (2,): the point of the ground straight below it."""
     return np.array([mount.x_m, mount.y_m])
-
-
-def _about_x(angle_rad: float) -> FloatArray:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def _about_y(angle_rad: float) -> FloatArray:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _about_z(angle_rad: float) -> FloatArray:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

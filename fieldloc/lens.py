@@ -38,13 +38,14 @@ def project(model: Model, distortion: Distortion, rays: FloatArray) -> tuple[Flo
     return np.where(mask[..., None], plane, np.nan), np.where(mask[..., None, None], jacobian, np.nan), mask
 
 
-def unproject(model: Model, distortion: Distortion, plane: FloatArray) -> tuple[FloatArray, Mask]:
-    """Unit rays (..., 3) of plane points (..., 2), to machine precision, and where they exist."""
+def unproject(model: Model, distortion: Distortion, plane: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:
+    """Unit rays (..., 3) of plane points (..., 2), to machine precision, their Jacobians (..., 3, 2), where they exist."""
     with np.errstate(all="ignore"):
-        rays, mask = (_unproject_pinhole if model == "pinhole" else _unproject_fisheye)(distortion, plane)
-        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    mask = mask & np.isfinite(rays).all(axis=-1)
-    return np.where(mask[..., None], rays, np.nan), mask
+        rays, jacobian, mask = (_unproject_pinhole if model == "pinhole" else _unproject_fisheye)(distortion, plane)
+    mask = mask & np.isfinite(rays).all(axis=-1) & np.isfinite(jacobian).all(axis=(-1, -2))
+    if mask.all():
+        return rays, jacobian, mask
+    return np.where(mask[..., None], rays, np.nan), np.where(mask[..., None, None], jacobian, np.nan), mask
 
 
 def _project_pinhole(distortion: Distortion, rays: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:
@@ -58,9 +59,10 @@ def _project_pinhole(distortion: Distortion, rays: FloatArray) -> tuple[FloatArr
     return plane, to_ideal @ ideal_to_ray, (z > 0) & inside & (_determinant(to_ideal) > 0)
 
 
-def _unproject_pinhole(distortion: Distortion, plane: FloatArray) -> tuple[FloatArray, Mask]:
+def _unproject_pinhole(distortion: Distortion, plane: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:
     ideal = plane
     mask = np.asarray(np.isfinite(plane).all(axis=-1))
+    jacobian = None
     if any(distortion):
         limit = _pinhole_limit(distortion)
         radius = np.hypot(plane[..., 0], plane[..., 1])
@@ -75,7 +77,15 @@ def _unproject_pinhole(distortion: Distortion, plane: FloatArray) -> tuple[Float
         value, jacobian = _distort(distortion, ideal)
         mask = mask & (np.abs(value - plane).max(axis=-1) < _SAME) & (_determinant(jacobian) > 0)
         mask = mask & (np.hypot(ideal[..., 0], ideal[..., 1]) < limit)
-    return np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1), mask
+    rays = np.empty((*ideal.shape[:-1], 3))
+    rays[..., 2] = 1.0 / np.sqrt(1.0 + ideal[..., 0] ** 2 + ideal[..., 1] ** 2)
+    rays[..., :2] = ideal * rays[..., 2:]
+    # a unit ray moves at right angles to itself
+    to_ideal = -rays[..., :, None] * rays[..., None, :2]
+    to_ideal[..., 0, 0] += 1.0
+    to_ideal[..., 1, 1] += 1.0
+    to_ideal *= rays[..., 2, None, None]
+    return rays, to_ideal if jacobian is None else to_ideal @ _inverse(jacobian), mask
 
 
 def _project_fisheye(distortion: Distortion, rays: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:
@@ -95,13 +105,24 @@ def _project_fisheye(distortion: Distortion, rays: FloatArray) -> tuple[FloatArr
     return scale[..., None] * xy, jacobian, np.asarray(angle < _fisheye_limit(distortion))
 
 
-def _unproject_fisheye(distortion: Distortion, plane: FloatArray) -> tuple[FloatArray, Mask]:
+def _unproject_fisheye(distortion: Distortion, plane: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:
     radius = np.hypot(plane[..., 0], plane[..., 1])
     limit = _fisheye_limit(distortion)
     angle = _invert(lambda t: _fisheye_radius(distortion, t), radius, limit)
-    mask = (np.abs(_fisheye_radius(distortion, angle)[0] - radius) < _SAME) & (angle < limit)
-    outward = plane / np.where(radius > _ON_AXIS, radius, 1.0)[..., None]
-    return np.concatenate([np.sin(angle)[..., None] * outward, np.cos(angle)[..., None]], axis=-1), mask
+    again, slope = _fisheye_radius(distortion, angle)
+    mask = (np.abs(again - radius) < _SAME) & (angle < limit)
+    on_axis = radius <= _ON_AXIS
+    outward = plane / np.where(on_axis, 1.0, radius)[..., None]
+    c, s = np.cos(angle), np.sin(angle)
+    rays = np.concatenate([s[..., None] * outward, c[..., None]], axis=-1)
+    # outwards the ray turns as the angle grows, sidewards it turns about the axis
+    sideward = np.where(on_axis, 1.0, s / radius)
+    jacobian = np.empty((*radius.shape, 3, 2))
+    jacobian[..., :2, :] = (c / slope - sideward)[..., None, None] * outward[..., :, None] * outward[..., None, :]
+    jacobian[..., 0, 0] += sideward
+    jacobian[..., 1, 1] += sideward
+    jacobian[..., 2, :] = -(s / slope)[..., None] * outward
+    return rays, jacobian, mask
 
 
 def _distort(distortion: Distortion, ideal: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -195,6 +216,14 @@ def _first_root(polynomial: np.polynomial.Polynomial) -> float:
 
 def _determinant(matrix: FloatArray) -> FloatArray:
     return np.asarray(matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0])
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Of (..., 2, 2)."""
+    out = np.empty_like(matrix)
+    out[..., 0, 0], out[..., 1, 1] = matrix[..., 1, 1], matrix[..., 0, 0]
+    out[..., 0, 1], out[..., 1, 0] = -matrix[..., 0, 1], -matrix[..., 1, 0]
+    return np.asarray(out / _determinant(matrix)[..., None, None])
 
 
 def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
