@@ -105,13 +105,13 @@ def quadratics(
     """The assignments as quadratics at their parents among poses (h, 3), straight where they lead; ids are rows, and
     the constants relative to all being clutter."""
     covariance = covariances[found.parent]
-    step = found.step
+    step, shape = found.step, (len(found.step), 2 * found.matches.shape[1])
     for _ in range(2):
         at = se2.retract(poses[found.parent], step)
         terms = model.terms(at, found.matches, wider)
-        by_parent = (terms.jacobian @ se2.right_jacobian(step)[:, None]).reshape(len(step), -1, 3)
+        by_parent = (terms.jacobian @ se2.right_jacobian(step)[:, None]).reshape(*shape, 3)
         error = terms.error - (by_parent @ step[:, :, None]).reshape(terms.error.shape)
-        weighted = (terms.weight @ error[..., None]).reshape(len(step), -1, 1)
+        weighted = (terms.weight @ error[..., None]).reshape(*shape, 1)
         weighted_jacobian = (terms.weight @ by_parent.reshape(terms.jacobian.shape)).reshape(by_parent.shape)
         back = np.swapaxes(by_parent, -1, -2)
         constant = terms.log_peak.sum(axis=1) - 0.5 * (error.reshape(weighted.shape) * weighted).sum(axis=(1, 2))
