@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from two_minds import ambiguity
 
-from estimators.base import Estimate
+from estimators.base import Ambiguity, Estimate, Event
 from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap, Landmark, load_field
@@ -61,6 +62,21 @@ def off_by(truth: Trajectory, sigma: float, claimed: float = 0.1) -> Trajectory:
 def result(runs: dict[str, Trajectory], truth: Trajectory | None, name: str = "yard") -> LogResult:
     made = tuple(RunResult(key, trajectory, np.zeros(0), 0.0) for key, trajectory in runs.items())
     return LogResult(name, 40.0, FIELD, truth, made)
+
+
+def unsure(n: int = 400, hypotheses: int = 2) -> tuple[tuple[Ambiguity, ...], tuple[Event, ...]]:
+    """Ten a second, half of the time undecided."""
+    weights = dict.fromkeys(range(1, hypotheses + 1), 0.9 / hypotheses)
+    said = tuple(
+        ambiguity(EPOCH_NS + SECOND // 10 * i, weights if i < n // 2 else {1: 0.9}, 0.45 if i < n // 2 else 0.0, 0.1)
+        for i in range(n)
+    )
+    events = (Event(EPOCH_NS, "start", "found </script>"), Event(EPOCH_NS + SECOND // 10 * n // 2, "decision", "one"))
+    return said, events
+
+
+def doubting(name: str, trajectory: Trajectory, **options: int) -> RunResult:
+    return RunResult(name, trajectory, np.zeros(0), 0.0, *unsure(**options))
 
 
 def written(path: Path, *arguments: object) -> str:
@@ -132,8 +148,8 @@ def test_of_a_long_log_the_spikes_stay_and_the_page_stays_below_five_megabytes(t
         np.random.default_rng(0).normal(size=(60_000, 4)),
         np.zeros(60_000, dtype=np.uint8),
     )
-    runs = dict.fromkeys(("a", "b", "c", "d"), spiked)
-    page = written(tmp_path / "page.html", result(runs, truth), many)
+    runs = tuple(doubting(name, spiked, n=12_000) for name in "abcd")
+    page = written(tmp_path / "page.html", LogResult("yard", 1200.0, FIELD, truth, runs), many)
     assert len(page.encode()) < 5_000_000
     data = document(page)
     for run in data["runs"]:
@@ -173,6 +189,36 @@ def test_a_run_without_estimates_and_a_log_without_a_map_have_a_page_too(tmp_pat
     data = document(written(tmp_path / "page.html", lost))
     assert (data["field"], data["truth"], data["duration_s"]) == (None, None, 0.0)
     assert data["runs"][0]["summary"] == "no estimate"
+
+
+def test_hypotheses_come_back_from_the_page_in_the_order_in_which_they_are_stacked(tmp_path: Path) -> None:
+    sure = RunResult("ekf", circle(), np.zeros(0), 0.0)
+    view = LogResult("yard", 40.0, FIELD, circle(), (doubting("mixture", circle(), hypotheses=3), sure))
+    data = document(written(tmp_path / "page.html", view))
+    assert data["runs"][1]["hypotheses"] is None
+    packed = data["runs"][0]["hypotheses"]
+    ends = array(packed["ends"])
+    assert ends.tolist() == [*range(3, 603, 3), *range(601, 801)]
+    np.testing.assert_allclose(array(packed["t"]), np.arange(400) / 10, atol=1e-9)
+    np.testing.assert_allclose(array(packed["mirrored"]), np.repeat([0.45, 0.0], 200), atol=1e-7)
+    np.testing.assert_allclose(array(packed["lost"]), 0.1, atol=1e-7)
+    np.testing.assert_allclose(array(packed["weight"])[:3], 0.3, atol=1e-7)
+    assert array(packed["pose"], 3)[:3, 0].tolist() == [1.0, 2.0, 3.0]
+    assert array(packed["colour"])[:3].tolist() == [0, 1, 2]
+    assert packed["events"] == [[0.0, "start", "found </script>"], [20.0, "decision", "one"]]
+
+
+def test_of_too_many_hypotheses_and_events_the_page_has_fewer(tmp_path: Path) -> None:
+    said, _ = unsure(12_000, 32)
+    events = tuple(Event(EPOCH_NS + i, "split" if i % 100 else "decision", "") for i in range(50_000))
+    runs = tuple(RunResult(name, circle(), np.zeros(0), 0.0, said, events) for name in "ab")
+    data = document(written(tmp_path / "page.html", LogResult("yard", 40.0, FIELD, None, runs)))
+    for run in data["runs"]:
+        packed = run["hypotheses"]
+        assert 3_000 <= len(array(packed["weight"])) == array(packed["ends"])[-1] <= 12_000
+        assert array(packed["t"])[[0, -1]].tolist() == pytest.approx([0.0, 1199.9])
+        kinds = [kind for _, kind, _ in packed["events"]]
+        assert (kinds.count("decision"), kinds.count("split")) == (500, 990)
 
 
 # -- what was seen -----------------------------------------------------------------------------------------------------
@@ -358,7 +404,7 @@ setTimeout(() => {
     press("End"); frame(20); said.push(at());
     press("Home"); press(" "); frame(30); frame(230); press(" "); frame(300); said.push(at());
     press("."); frame(310); said.push(at());
-    for (const key of ["+", "-", "f", "t", "o", "1", "1", "2", "?", "r"]) { press(key); frame(320); }
+    for (const key of ["+", "-", "f", "t", "o", "h", "h", "1", "1", "2", "?", "r"]) { press(key); frame(320); }
     const middle = { bubbles: true, clientX: strips.getBoundingClientRect().left + LEFT
       + (strips.clientWidth - LEFT - RIGHT) / 2, clientY: strips.getBoundingClientRect().top + 40, pointerId: 1 };
     strips.setPointerCapture = () => {};
@@ -379,8 +425,11 @@ setTimeout(() => {
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium to open the page in")
 def test_a_browser_plays_the_page_without_an_error(tmp_path: Path) -> None:
     scan = LandmarkScan(EPOCH_NS, ("a",), np.array([[2.0, 0.5]]), np.eye(2)[None])
+    two = (doubting("m", circle()), doubting("n", circle()))
     pages = {
         "full": (result({"ekf": off_by(circle(), 0.1), "poor": off_by(circle(), 0.4)}, circle()), seen([scan], None)),
+        "hypotheses": (LogResult("yard", 40.0, FIELD, circle(), two), None),
+        "only hypotheses": (LogResult("yard", 40.0, FIELD, None, two), None),
         "no truth": (result({"ekf": off_by(circle(), 0.1), "b": off_by(circle(), 0.2)}, None), None),
     }
     for name, arguments in pages.items():

@@ -22,7 +22,8 @@ from logs.viewing.page_data import Limits, page_document
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # the report's: Okabe and Ito, 2008
 _FULL = Limits()
-_PARTS = ("frame.html", "style.css", "data.js", "state.js", "field.js", "strips.js", "words.js", "controls.js")
+_PAGE = ("frame.html", "style.css")
+_SCRIPTS = ("data.js", "state.js", "field.js", "hypotheses.js", "strips.js", "words.js", "controls.js")
 
 
 def write_page(path: Path, result: LogResult, seen: Seen | None = None, limits: Limits = _FULL) -> None:
@@ -32,7 +33,9 @@ def write_page(path: Path, result: LogResult, seen: Seen | None = None, limits: 
     names = ", ".join(run.name for run in result.runs)
     title = f"{names} on {result.log_name}" if names else result.log_name
     folder = resources.files("logs.viewing") / "browser"
-    frame, style, *scripts = ((folder / name).read_text(encoding="utf-8") for name in _PARTS)
+    frame, style, *scripts = (
+        (folder / name).read_text(encoding="utf-8") for name in ("frame.html", "style.css", *_SCRIPTS)
+    )
     parts = {
         "title": escape(title),
         "style": style,

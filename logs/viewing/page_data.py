@@ -1,17 +1,18 @@
 """What a page knows: a result and what was seen, as JSON with long arrays in base64, thinned to what a page bears."""
 
-from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from fieldloc.field import FieldMap
 from logs.evaluate import THREE_SIGMA_SHARE, Errors, chi_square_quantile
 from logs.results import Json, LogResult, ScoredRun, score
 from logs.thinning import extremes
 from logs.trajectory import Trajectory
+from logs.viewing.arrays import array
+from logs.viewing.hypotheses import hypotheses
 from logs.viewing.observations import Seen
 
 NEES_LINE = chi_square_quantile(THREE_SIGMA_SHARE, 3)
@@ -21,13 +22,15 @@ NEES_LINE = chi_square_quantile(THREE_SIGMA_SHARE, 3)
 class Limits:
     """What a page holds at most: of twenty minutes ten poses a second and five megabytes in all.
 
-    poses: of one trajectory; total_poses: of all. errors: per run. segments: of what was seen.
+    poses: of one trajectory; total_poses: of all. errors: per run. segments: of what was seen. hypotheses: of all runs
+    at all times.
     """
 
     poses: int = 12_000
     total_poses: int = 54_000
     errors: int = 4_000
     segments: int = 60_000
+    hypotheses: int = 24_000
 
 
 def page_document(result: LogResult, seen: Seen | None, colours: Sequence[str], limits: Limits) -> dict[str, Json]:
@@ -40,6 +43,7 @@ def page_document(result: LogResult, seen: Seen | None, colours: Sequence[str], 
     trajectories = [run.trajectory for run in result.runs] + ([result.truth] if result.truth is not None else [])
     most = max(2, min(limits.poses, limits.total_poses // max(1, len(trajectories))))
     truth = result.truth if result.truth is not None and len(result.truth) else None
+    unsure = max(1, sum(bool(run.ambiguities) for run in result.runs))
     return {
         "log": result.log_name,
         "origin_ns": str(origin_ns),  # more than a JavaScript number holds
@@ -54,6 +58,7 @@ def page_document(result: LogResult, seen: Seen | None, colours: Sequence[str], 
                 "trajectory": _trajectory(run.run.trajectory, origin_ns, most),
                 "errors": None if run.errors is None else _errors(run.errors, origin_ns, limits.errors),
                 "summary": _summary(run),
+                "hypotheses": hypotheses(run.run, origin_ns, limits.hypotheses // unsure),
             }
             for run, colour in zip(scored.runs, colours, strict=True)
         ],
@@ -87,15 +92,15 @@ def _trajectory(trajectory: Trajectory, origin_ns: int, most: int) -> Json:
     """covariance: xx, xy, yy in m^2 and the heading's in rad^2; NaN where one is not finite."""
     kept = _every(len(trajectory), most)
     out: dict[str, Json] = {
-        "t": _array(_since(trajectory.stamps_ns[kept], origin_ns), "f8"),
-        "pose": _array(trajectory.poses[kept], "f4"),
+        "t": array(_since(trajectory.stamps_ns[kept], origin_ns), "f8"),
+        "pose": array(trajectory.poses[kept], "f4"),
         "all": len(trajectory),
     }
     if trajectory.covariances is not None:
         covariances = trajectory.covariances[kept]
         finite = np.isfinite(covariances).all(axis=(1, 2), keepdims=True)
         rows = np.where(finite, covariances, np.nan)[:, [0, 0, 1, 2], [0, 1, 1, 2]]
-        out["covariance"] = _array(rows, "f4")
+        out["covariance"] = array(rows, "f4")
     return out
 
 
@@ -110,8 +115,8 @@ def _errors(errors: Errors, origin_ns: int, most: int) -> Json:
     bins = max(1, most // 6)  # a lowest and a highest of each of three
     kept = np.unique(np.concatenate([extremes(column, bins) for column in columns[:3]]))
     return {
-        "t": _array(_since(errors.stamps_ns[kept], origin_ns), "f8"),
-        "columns": _array(np.stack(columns, axis=-1)[kept], "f4"),
+        "t": array(_since(errors.stamps_ns[kept], origin_ns), "f8"),
+        "columns": array(np.stack(columns, axis=-1)[kept], "f4"),
         "width": len(columns),
     }
 
@@ -127,10 +132,10 @@ def _sigmas(covariances: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 def _seen(seen: Seen, origin_ns: int) -> Json:
     return {
-        "t": _array(_since(seen.stamps_ns, origin_ns), "f8"),
-        "ends": _array(seen.ends, "u4"),
-        "segments": _array(seen.segments, "f4"),
-        "kinds": _array(seen.kinds, "u1"),
+        "t": array(_since(seen.stamps_ns, origin_ns), "f8"),
+        "ends": array(seen.ends, "u4"),
+        "segments": array(seen.segments, "f4"),
+        "kinds": array(seen.kinds, "u1"),
     }
 
 
@@ -155,8 +160,3 @@ def _every(count: int, most: int) -> NDArray[np.intp]:
 
 def _since(stamps_ns: NDArray[np.int64], origin_ns: int) -> NDArray[np.float64]:
     return (stamps_ns - origin_ns) / 1e9
-
-
-def _array(values: NDArray[np.generic], kind: str) -> Json:
-    little_endian: DTypeLike = f"<{kind}"
-    return {"type": kind, "data": b64encode(values.astype(little_endian).tobytes()).decode("ascii")}

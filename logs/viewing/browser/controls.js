@@ -34,6 +34,7 @@ const KEYS = {
   End: () => seek(data.duration_s),
   t: () => toggle("show-truth"),
   o: () => toggle("show-seen"),
+  h: () => toggle("show-hypotheses"),
   f: () => toggle("follow"),
   r: () => { state.zoom = 1; state.middle = null; byId("follow").checked = false; state.dirty = true; },
   "?": () => { byId("keys").hidden = !byId("keys").hidden; },
@@ -54,7 +55,7 @@ byId("play").addEventListener("keydown", (event) => { if (event.key === "Enter")
 byId("help").addEventListener("click", () => KEYS["?"]());
 byId("slider").addEventListener("input", (event) => seek(event.target.value * data.duration_s));
 byId("speed").addEventListener("change", (event) => { state.speed = Number(event.target.value); event.target.blur(); });
-for (const id of ["show-truth", "show-seen", "follow"]) byId(id).addEventListener("change", () => { state.dirty = true; });
+for (const id of ["show-truth", "show-seen", "show-hypotheses", "follow"]) byId(id).addEventListener("change", () => { state.dirty = true; });
 
 function dragging(canvas, move) {
   canvas.addEventListener("pointerdown", (event) => { canvas.setPointerCapture(event.pointerId); move(event, true); });

@@ -8,6 +8,11 @@ const TRAIL_S = 8;
 const FONT = "11px system-ui, sans-serif";
 const SEEN_FOR_S = 0.4; // how long what was seen stays in sight after its image
 const BREAK_S = 2; // no curve is drawn over a longer gap that is ten usual steps too
+const HYPOTHESES = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#7b61b5", "#c9bc2b"]; // the report's
+const MARKS = { // how an event is marked: colour, height in its strip, and whether its line goes through the panel
+  start: ["#57606a", 2, true], split: ["#0072b2", 10, false], merge: ["#b0b6bd", 6, false],
+  decision: ["#009e73", 2, true], recovery: ["#d55e00", 2, true],
+};
 const KINDS = { landmark: 0, bearing: 1, line: 2 };
 const PANELS = [
   { title: "position error [m]", column: 0, sigma: 3, scale: 1 },
@@ -30,11 +35,18 @@ function trajectory(packed) {
   return { t, pose: decode(packed.pose), covariance: packed.covariance ? decode(packed.covariance) : null, gap };
 }
 
+function several(packed) {
+  const { t, mirrored, lost, ends, pose, weight, colour, events } = packed;
+  const [times, half, nowhere, behind] = [t, mirrored, lost, ends].map(decode);
+  return { t: times, mirrored: half, lost: nowhere, ends: behind, pose: decode(pose), weight: decode(weight), colour: decode(colour), events };
+}
+
 const truth = data.truth && trajectory(data.truth);
 const runs = data.runs.map((run) => ({
   ...run,
   shown: true,
   path: trajectory(run.trajectory),
+  hypotheses: run.hypotheses && several(run.hypotheses),
   errors: run.errors && { t: decode(run.errors.t), rows: decode(run.errors.columns), width: run.errors.width },
 }));
 const seen = data.seen && {

@@ -103,6 +103,7 @@ function drawField() {
   const followed = runs[state.followed];
   const eye = followed && followed.shown ? at(followed.path, state.t) : truth && at(truth, state.t);
   if (eye && seen && byId("show-seen").checked) drawSeen(pen, eye.pose, X, Y);
+  if (byId("show-hypotheses").checked) for (const run of shown()) if (run.hypotheses) drawArrows(pen, run, X, Y, scale);
   const trueNow = showTruth && at(truth, state.t);
   if (trueNow) drawRobot(pen, trueNow.pose, X, Y, scale, style.truth, false);
   for (const run of shown()) {

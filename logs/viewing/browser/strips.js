@@ -1,6 +1,6 @@
-// Errors and NEES over time.
+// Errors and NEES over time, and hypotheses below them.
 
-const LEFT = 64, RIGHT = 10, PANEL = 74, GAP = 17, FOOT = 17;
+const LEFT = 64, RIGHT = 10, PANEL = 74, GAP = 17, FOOT = 17, EVENTS = 15;
 const scored = runs.filter((run) => run.errors);
 const panels = PANELS.filter((panel) => scored.some((run) => run.errors.width > panel.column));
 
@@ -33,13 +33,14 @@ function usualBand(run, panel) {
   return all[Math.floor(0.98 * (all.length - 1))] || 0;
 }
 
-const stripsHeight = () => (panels.length ? panels.length * (PANEL + GAP) + FOOT : 26);
+const stacked = panels.length + (unsure.length ? 1 : 0);
+const stripsHeight = () => (stacked ? stacked * (PANEL + GAP) + (unsure.length ? EVENTS : 0) + FOOT : 26);
 
 function drawStrips() {
   const { pen, width } = prepared(strips, layers.strips, 0, drawPanels);
   pen.fillStyle = style.now;
   const x = LEFT + ((width - LEFT - RIGHT) * state.t) / (data.duration_s || 1);
-  pen.fillRect(x - 0.75, panels.length ? GAP - 2 : 0, 1.5, panels.length ? stripsHeight() - FOOT - GAP + 4 : 12);
+  pen.fillRect(x - 0.75, stacked ? GAP - 2 : 0, 1.5, stacked ? stripsHeight() - FOOT - GAP + 4 : 12);
 }
 
 function drawPanels(pen, width) {
@@ -82,10 +83,30 @@ function drawPanels(pen, width) {
     }
     pen.restore();
   });
+  if (unsure.length) drawDoubts(pen, width, X);
   pen.fillStyle = style.soft;
   pen.textAlign = "center";
   const step = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600].find((s) => X(s) - X(0) > 70) || 7200;
   for (let t = 0; t <= data.duration_s; t += step) pen.fillText(short(t), Math.max(X(t), 20), stripsHeight() - 4);
+}
+
+function drawDoubts(pen, width, X) {
+  const top = GAP + panels.length * (PANEL + GAP) + EVENTS, run = doubting();
+  pen.fillStyle = style.panel;
+  pen.fillRect(LEFT, top, width - LEFT - RIGHT, PANEL);
+  pen.fillStyle = style.soft;
+  pen.textAlign = "left";
+  pen.fillText(`hypotheses${run ? ` of ${run.name}` : ""}   grey: lost; line: P(mirrored)`, LEFT, top - EVENTS - 5);
+  pen.textAlign = "right";
+  for (const v of [0, 0.5, 1]) pen.fillText(v, LEFT - 6, top + PANEL * (1 - v) + 4);
+  if (!run) return;
+  pen.save();
+  pen.beginPath();
+  pen.rect(LEFT - 4, top - EVENTS, width - LEFT - RIGHT + 8, PANEL + EVENTS);
+  pen.clip();
+  drawWeights(pen, run, X, top, PANEL, data.duration_s);
+  drawEvents(pen, run, X, top, PANEL);
+  pen.restore();
 }
 
 function legend(panel, leader) {

@@ -37,6 +37,7 @@ function say() {
     const i = before(run.errors.t, state.t);
     if (i >= 0) rows.push(["NEES, last", run.errors.rows[run.errors.width * i + 2].toPrecision(3), ""]);
   }
+  if (run && run.hypotheses) rows.push(...doubts(run));
   const body = document.createElement("tbody");
   for (const cells of rows) {
     const row = body.insertRow();
@@ -67,7 +68,8 @@ function introduce() {
   for (const speed of SPEEDS) select.add(new Option(`${speed} ×`, speed, speed === 1, speed === 1));
   if (!truth) byId("show-truth").parentElement.hidden = true;
   if (!seen) byId("show-seen").parentElement.hidden = true;
-  if (data.field && data.field.symmetric && truth === null)
+  if (!unsure.length) byId("show-hypotheses").parentElement.hidden = true;
+  if (data.field && data.field.symmetric && truth === null && !unsure.length)
     byId("note").textContent = "The field looks the same from its other half: nothing here says which half is the right one.";
 }
 
