@@ -21,17 +21,19 @@ class KeptAmbiguities:
         self._size = 0
         self._latest: Ambiguity | None = None
 
-    def take(self, ambiguity: Ambiguity) -> None:
-        """In the order of stamps; of several at one stamp the last counts."""
+    def take(self, ambiguity: Ambiguity) -> Ambiguity | None:
+        """In the order of stamps; of several at one stamp the last counts. What is kept of it, None: nothing, yet."""
         self._latest = ambiguity
         if self._kept and self._kept[-1].stamp_ns == ambiguity.stamp_ns:
             self._size -= _size(self._kept.pop())
         elif self._kept and not self._is_news(self._kept[-1], ambiguity):
-            return
-        self._kept.append(_likeliest(ambiguity))
-        self._size += _size(self._kept[-1])
+            return None
+        kept = _likeliest(ambiguity)
+        self._kept.append(kept)
+        self._size += _size(kept)
         if self._size > self._most:
             self._thin_out()
+        return kept
 
     def all(self) -> tuple[Ambiguity, ...]:
         """So far."""

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from children import interruptible
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from two_minds import InTwoMinds
 from viewing_client import Client
 
 from estimators.base import Estimate
@@ -361,6 +362,24 @@ def test_a_running_estimator_is_seen_to_find_what_a_replay_finds(log: LogFile) -
     assert client.on("/odometry")
     assert client.on(topics.SIGHTS)
     assert client.on(TRUE_WAY)
+
+
+def test_the_hypotheses_of_a_running_estimator_are_seen_and_what_befalls_them(log: LogFile) -> None:
+    recording = load_recording(log)
+    expected = replay(recording, InTwoMinds(Config()))
+    with serving(log, Run(recording, InTwoMinds(Config()))) as port:
+        client = watched(port)
+    ways = {m.log_time_ns for m in client.on(topics.HYPOTHESES)}
+    assert ways == {one.stamp_ns for one in expected.ambiguities}
+    of = message_class(client.channel(topics.HYPOTHESES))
+    first = of.FromString(client.on(topics.HYPOTHESES)[0].data)  # type: ignore[attr-defined]
+    both = [one.pose[0] for one in expected.ambiguities[0].hypotheses]
+    assert [pose.position.x for pose in first.poses] == pytest.approx(both, abs=1e-9)
+    assert len(client.on(topics.WEIGHTS)) == len(client.on(topics.HYPOTHESES))
+    lines = message_class(client.channel(topics.EVENTS))
+    told = [lines.FromString(m.data) for m in client.on(topics.EVENTS)]  # type: ignore[attr-defined]
+    assert [(line.name, line.message) for line in told] == [(one.kind, one.text) for one in expected.events]
+    assert [one.kind for one in expected.events] == ["start", "decision"]
 
 
 def test_an_estimator_may_be_watched_twice_but_runs_once(log: LogFile) -> None:

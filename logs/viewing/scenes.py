@@ -1,11 +1,13 @@
-"""fieldloc's records as a programme of Foxglove messages: field, robot, uncertainty, and rays to what is seen."""
+"""fieldloc's records as a programme of Foxglove messages: field, robot, uncertainty, hypotheses, rays to what is
+seen."""
 
 from collections.abc import Iterator, Sequence
 from itertools import islice
 
 import numpy as np
 
-from estimators.base import Estimate
+from estimators.base import Ambiguity, Ambiguous, Estimate
+from estimators.base import Event as Happened
 from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
 from fieldloc.measurements import ImageFeatures, LandmarkScan, Odometry, Truth
@@ -13,6 +15,7 @@ from fieldloc.pose import FloatArray
 from logs.foreign.wires import has_transforms
 from logs.foxglove import topics
 from logs.foxglove.throttle import Throttle
+from logs.kept import KeptAmbiguities
 from logs.odom import odom_from_robot
 from logs.reader import LogFile
 from logs.replay import Run
@@ -23,7 +26,7 @@ from logs.viewing.timeline import Event, Shown, Timeline
 TRUE_WAY, TRUE_POSE = "/fieldloc/true_way", "/fieldloc/true_pose"
 
 _BLOCK = 16  # events that are turned into messages together: an estimator is so far ahead of what is shown
-_STANDING: tuple[type[Shown], ...] = (Estimate, LandmarkScan, ImageFeatures, Truth)
+_STANDING: tuple[type[Shown], ...] = (Estimate, LandmarkScan, ImageFeatures, Truth, Ambiguity)
 
 
 class Scenes:
@@ -58,6 +61,9 @@ class Scenes:
             channel(topics.UNCERTAINTY, kinds.SceneUpdate),
             channel(topics.SIGHTS, kinds.SceneUpdate),
             channel(topics.ANNOTATIONS, kinds.ImageAnnotations),
+            channel(topics.HYPOTHESES, kinds.PosesInFrame),
+            channel(topics.WEIGHTS, kinds.SceneUpdate),
+            channel(topics.EVENTS, kinds.Log),
             channel(TRUE_POSE, kinds.PoseInFrame),
             *(message.source for message in self._lasting),
         ]
@@ -66,13 +72,16 @@ class Scenes:
         rays = Throttle()
         events = self._timeline.after(start_ns)
         while block := list(islice(events, _BLOCK)):
-            shown = [*self._estimates(block), *self._sights(block, rays), *self._truth(block)]
+            sights = self._sights(block, rays)
+            shown = [*self._estimates(block), *self._hypotheses(block), *sights, *self._truth(block)]
             yield from sorted(shown, key=lambda message: message.log_time_ns)
 
     def standing(self, at_ns: int) -> Iterator[Encoded]:
         yield from self._lasting
         for last in self._timeline.before(at_ns, _STANDING):
-            yield from (*self._estimates([last]), *self._sights([last], Throttle()), *self._truth([last]))
+            block = [last]
+            yield from (*self._estimates(block), *self._hypotheses(block))
+            yield from (*self._sights(block, Throttle()), *self._truth(block))
 
     def _estimates(self, block: Sequence[Event]) -> Iterator[Encoded]:
         from logs.foxglove.results import estimates_messages
@@ -86,6 +95,18 @@ class Scenes:
         stacked = np.array(known) if len(known) == len(odom) else None
         for message in estimates_messages(estimates, stacked, self._frames):
             yield message._replace(log_time_ns=logged_ns[message.log_time_ns])
+
+    def _hypotheses(self, block: Sequence[Event]) -> Iterator[Encoded]:
+        from logs.foxglove.hypotheses import ambiguities_messages, event_messages
+
+        for event in block:
+            messages: Iterator[Encoded] = iter(())
+            if isinstance(event.record, Ambiguity):
+                messages = ambiguities_messages([event.record], self._frames)
+            elif isinstance(event.record, Happened):
+                messages = event_messages([event.record])
+            for message in messages:
+                yield message._replace(log_time_ns=event.log_time_ns)
 
     def _sights(self, block: Sequence[Event], rays: Throttle) -> Iterator[Encoded]:
         from logs.foxglove.results import measurement_messages
@@ -116,7 +137,7 @@ def log_scenes(log: LogFile, frames: topics.Frames) -> Scenes | None:
     None where there is nothing to show. All of it is read before the first is shown.
     """
     field, camera = log.field_map(), next(log.records(Camera), None)
-    kinds = [kind for kind in (Estimate, Truth, LandmarkScan, ImageFeatures) if log.has(kind)]
+    kinds = [kind for kind in (Estimate, Truth, LandmarkScan, ImageFeatures, Ambiguity, Happened) if log.has(kind)]
     if not kinds and field is None:
         return None
     guide = Estimate if Estimate in kinds else Truth
@@ -125,7 +146,7 @@ def log_scenes(log: LogFile, frames: topics.Frames) -> Scenes | None:
     found: list[tuple[int, Shown]] = []
     for message in log.messages(played) if played else ():
         record = message.record
-        if isinstance(record, Estimate | Truth | LandmarkScan | ImageFeatures) and record.stamp_ns in topics.STAMPS_NS:
+        if isinstance(record, Shown) and record.stamp_ns in topics.STAMPS_NS:
             found.append((message.log_time_ns, record))
     events = _with_poses(sorted(found, key=lambda one: (one[0], not isinstance(one[1], guide))), guide)
     span_ns = (events[0].log_time_ns, events[-1].log_time_ns) if events else log.span_ns or (0, 0)
@@ -151,7 +172,10 @@ def run_scenes(run: Run, truth: Sequence[Truth], offset_ns: int, frames: topics.
     has_odometry = any(isinstance(measurement, Odometry) for measurement in measurements)
     odom = odom_from_robot(measurements, stamps_ns) if has_odometry else None
 
+    ambiguous = run.estimator if isinstance(run.estimator, Ambiguous) else None
+
     def events() -> Iterator[Event]:
+        kept, happened = KeptAmbiguities(), 0
         for i, step in enumerate(run.steps()):
             logged_ns = step.measurement.stamp_ns + offset_ns
             now = step.estimate
@@ -163,6 +187,13 @@ def run_scenes(run: Run, truth: Sequence[Truth], offset_ns: int, frames: topics.
                 yield Event(logged_ns, now, now.pose, None if odom is None else odom[i])
             if isinstance(step.measurement, LandmarkScan | ImageFeatures):
                 yield Event(logged_ns, step.measurement, None if now is None else now.pose)
+            if ambiguous is not None and step.update_s is not None:
+                unsure = ambiguous.ambiguity()
+                news = [] if unsure is None else [kept.take(unsure)]
+                for record in (*news, *ambiguous.events[happened:]):
+                    if record is not None and record.stamp_ns in topics.STAMPS_NS:
+                        yield Event(logged_ns, record, None)
+                happened = len(ambiguous.events)
 
     lasting = _lasting(run.recording.field, truth, frames)
     span_ns = (int(stamps_ns[0]) + offset_ns, int(stamps_ns[-1]) + offset_ns)

@@ -4,11 +4,12 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from estimators.base import Estimate
+from estimators.base import Ambiguity, Estimate
+from estimators.base import Event as Happened
 from fieldloc.measurements import ImageFeatures, LandmarkScan, Truth
 from fieldloc.pose import FloatArray
 
-Shown = Estimate | Truth | LandmarkScan | ImageFeatures
+Shown = Estimate | Truth | LandmarkScan | ImageFeatures | Ambiguity | Happened
 
 _NEWS_NS = 1_000_000_000  # what is older tells nothing of now
 
