@@ -2,15 +2,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from fieldloc.camera import Camera
 from fieldloc.covariance import central_difference
 from fieldloc.field import load_field
 from fieldloc.fixes.line_segments import LineSegments, agreeing, modulo_quarter, usable_segments
-from fieldloc.fixes.lines import GroundLines, linearised, lines_on_the_ground
+from fieldloc.fixes.lines import GroundLines, bearing_misfit, lines_on_the_ground
 from fieldloc.ground import project_points, robot_ground_points
 from fieldloc.measurements import CameraMount, LineObservation
 from fieldloc.pose import FloatArray, apply, inverse
@@ -151,10 +152,17 @@ def test_the_most_agreeing_bearing_wins_over_the_mean_modulo_90_degrees() -> Non
     quarter = np.pi / 2
     bearing = np.array([0.75, 0.77 + quarter, 0.76 - quarter, 0.1, 0.2, 0.3, 0.4])  # three agree, across +-pi/4 or not
     count = len(bearing)
-    nothing = np.zeros((count, 4, 4))
-    rays = np.zeros((count, 2, 3))
     covariance = 0.02**2 * np.eye(count)
-    segments = LineSegments(np.arange(count), rays, np.zeros((count, 2, 3, 2)), nothing, bearing, covariance)
+    segments = LineSegments(
+        observed=np.arange(count),
+        rays=np.zeros((count, 2, 3)),
+        ray_to_pixel=np.zeros((count, 2, 3, 2)),
+        covariance_px2=np.zeros((count, 4, 4)),
+        normals=np.zeros((count, 3)),
+        bearing_rad=bearing,
+        bearing_covariance=covariance,
+        bearing_variance=covariance.diagonal(),
+    )
     agree, common = agreeing(segments)
     assert agree.tolist() == [True] * 3 + [False] * 4
     np.testing.assert_allclose(common, 0.76, atol=1e-3)
@@ -268,23 +276,83 @@ def test_the_covariance_of_the_bearings_follows_from_central_differences(camera:
 @given(
     mount=st.tuples(st.floats(0.3, 1.0), st.floats(-3.0, 3.0), st.floats(0.3, 0.8), st.floats(-0.3, 0.3)).map(np.array),
     bearing=st.floats(-0.8, 0.8),
-    distances=st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0)).map(np.array),
 )
-def test_the_jacobian_of_the_fit_equals_central_differences(
-    mount: FloatArray, bearing: float, distances: FloatArray
-) -> None:
+def test_the_jacobian_of_the_bearings_equals_central_differences(mount: FloatArray, bearing: float) -> None:
     ends = np.array([[[100.0, 400.0], [500.0, 420.0]], [[200.0, 450.0], [250.0, 390.0]]])
     pair = usable_segments(CAMERA, mount_at(mount, 1e-6 * NOISE), tuple(observation(e, 0.5) for e in ends))
     assert pair is not None
-    root = np.diag([0.1, 0.2, 0.3, 0.4]) + 0.05
-    families = np.array([0, 1])
+    at, jacobian = bearing_misfit(mount_at(mount, NOISE), pair, bearing)
+    assume(np.abs(at).max() < np.pi / 4 - 1e-3)  # nor wrap within the step
 
-    def at(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return linearised(mount_at(mount + root @ x[3:], NOISE), root, pair, families, float(x[0]), x[1:3])
+    def misfit(attitude: FloatArray) -> FloatArray:
+        return bearing_misfit(mount_at(np.append(mount[0], attitude), NOISE), pair, bearing)[0]
 
-    x = np.array([bearing, *distances, 0.0, 0.0, 0.0, 0.0])
-    numeric = central_difference(lambda x: at(x)[0].ravel(), x)
-    np.testing.assert_allclose(at(x)[1].reshape(4, 7), numeric, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(jacobian, central_difference(misfit, mount[1:]), rtol=1e-6, atol=1e-7)
+
+
+def joint_cost(x: FloatArray, ends: FloatArray, seen: GroundLines, noise: FloatArray) -> float:
+    """Chi-square of (bearing, distances, true ends along the lines, mount) against the pixels (n, 2, 2)."""
+    count = len(ends)
+    bearing, distances = x[0], x[1 : 1 + count]
+    places, parameters = x[1 + count : 1 + 3 * count].reshape(count, 2), x[-4:]
+    flat = np.where(
+        (seen.families == 0)[:, None, None],
+        np.stack([places, np.repeat(distances[:, None], 2, axis=1)], axis=-1),
+        np.stack([np.repeat(distances[:, None], 2, axis=1), places], axis=-1),
+    )
+    points = np.pad(apply(np.array([0.0, 0.0, bearing]), flat), ((0, 0), (0, 0), (0, 1)))
+    pixels, _ = project_points(CAMERA, mount_at(parameters, noise), points)
+    off = parameters - MOUNT_AT
+    return float(np.sum((pixels - ends) ** 2) / 0.5**2 + off @ np.linalg.solve(noise, off))
+
+
+def test_the_estimate_is_the_likeliest_of_all_lines_and_mounts() -> None:
+    """The closed form against a general minimiser over everything that is unknown, ends along the lines included."""
+    rng = np.random.default_rng(12)
+    noise = np.diag([0.01, 0.02, 0.03, 0.02]) ** 2
+    true = rng.multivariate_normal(MOUNT_AT, noise)
+    ends, _ = image_of(CAMERA, mount_at(true, noise), POSE)
+    ends = ends + rng.normal(0.0, 0.5, ends.shape)
+    seen = lines_on_the_ground(CAMERA, mount_at(MOUNT_AT, noise), tuple(observation(e, 0.5) for e in ends))
+    assert seen is not None
+    ends = ends[seen.observed]
+    start = np.concatenate([[seen.bearing_rad], seen.distances_m, seen.extents_m.ravel(), MOUNT_AT])
+    swapped = []
+    for i in range(len(ends)):
+        other = start.copy()
+        other[1 + len(ends) + 2 * i : 3 + len(ends) + 2 * i] = seen.extents_m[i, ::-1]
+        swapped.append(joint_cost(other, ends, seen, noise) < joint_cost(start, ends, seen, noise))
+    ends[swapped] = ends[swapped, ::-1]
+    best = minimize(joint_cost, start, args=(ends, seen, noise), method="BFGS", options={"gtol": 1e-6}).x
+    found = np.concatenate([[seen.bearing_rad], seen.distances_m])
+    off = found - best[: len(found)]
+    # a tenth of a standard deviation: what freezing the weights costs
+    assert off @ np.linalg.solve(seen.covariance, off) < 0.1**2 * len(found)
+
+
+def test_the_covariance_splits_into_the_pixels_share_and_the_mounts() -> None:
+    noise = np.diag([0.01, 0.02, 0.015, 0.01]) ** 2
+    ends, _ = image_of(CAMERA, mount_at(MOUNT_AT, noise), POSE)
+
+    def estimate(x: FloatArray) -> GroundLines:
+        moved = tuple(observation(e, 0.5) for e in x[4:].reshape(-1, 2, 2))
+        lines = lines_on_the_ground(CAMERA, mount_at(x[:4], noise), moved)
+        assert lines is not None
+        return lines
+
+    def numbers(x: FloatArray) -> FloatArray:
+        lines = estimate(x)
+        return np.append(lines.bearing_rad, lines.distances_m)
+
+    x = np.concatenate([MOUNT_AT, ends.ravel()])
+    seen = estimate(x)
+    jacobian = central_difference(numbers, x, step=1e-4)
+    np.testing.assert_allclose(seen.by_mount, jacobian[:, :4], rtol=1e-3, atol=1e-4)
+    own = 0.25 * jacobian[:, 4:] @ jacobian[:, 4:].T
+    scale = np.sqrt(np.outer(own.diagonal(), own.diagonal()))
+    np.testing.assert_allclose(seen.pixel_covariance / scale, own / scale, atol=2e-3)
+    whole = seen.pixel_covariance + seen.by_mount @ noise @ seen.by_mount.T
+    np.testing.assert_allclose(seen.covariance, whole, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("change", [{"height_m": 0.0}, {"height_m": np.nan}, {"tilt_rad": np.nan}])

@@ -1,5 +1,6 @@
 """Line observations of one image as rays to their ends, and which of them agree on the field's two directions."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,25 +22,33 @@ class LineSegments:
 
     observed: (n,) their indices among the observations. rays: (n, 2, 3) unit rays to both ends, camera frame;
     ray_to_pixel (n, 2, 3, 2) their Jacobians. covariance_px2: (n, 4, 4) as observed.
-    bearing_rad: (n,) of each segment in the robot frame, modulo pi; bearing_covariance (n, n) with the mount's noise.
+    normals: (n, 3) of the planes through the camera and both ends, camera frame, not of unit length.
+    bearing_rad: (n,) of each segment in the robot frame, modulo pi; bearing_covariance (n, n) with the mount's noise,
+    bearing_variance (n,) without.
     """
 
     observed: NDArray[np.intp]
     rays: FloatArray
     ray_to_pixel: FloatArray
     covariance_px2: FloatArray
+    normals: FloatArray
     bearing_rad: FloatArray
     bearing_covariance: FloatArray
+    bearing_variance: FloatArray
 
     def only(self, chosen: NDArray[np.bool_]) -> "LineSegments":
         """Those where the mask (n,) is True."""
+        if chosen.all():
+            return self
         return LineSegments(
             self.observed[chosen],
             self.rays[chosen],
             self.ray_to_pixel[chosen],
             self.covariance_px2[chosen],
+            self.normals[chosen],
             self.bearing_rad[chosen],
             self.bearing_covariance[np.ix_(chosen, chosen)],
+            self.bearing_variance[chosen],
         )
 
 
@@ -50,23 +59,61 @@ def usable_segments(
 
     None where there is none, or where the camera is not above the ground.
     """
-    parameters = [mount.height_m, mount.pan_rad, mount.tilt_rad, mount.roll_rad, mount.x_m, mount.y_m]
-    if not observations or mount.height_m <= 0 or not np.isfinite([*parameters, *mount.covariance.ravel()]).all():
+    parameters = (mount.height_m, mount.pan_rad, mount.tilt_rad, mount.roll_rad, mount.x_m, mount.y_m)
+    if not observations or mount.height_m <= 0 or not all(map(math.isfinite, parameters)):
+        return None
+    if not np.isfinite(mount.covariance).all():
         return None
     ends = np.array([line.ends_px for line in observations], dtype=np.float64)
     noise = np.array([line.covariance_px2 for line in observations], dtype=np.float64)
-    index = np.flatnonzero(np.isfinite(ends).all(axis=(1, 2)) & np.isfinite(noise).all(axis=(1, 2)))
-    index = index[np.linalg.eigvalsh(noise[index])[:, 0] > 0]
-    rays, ray_to_pixel, exist = camera.ray_and_jacobian(ends[index])
-    good = np.asarray(exist.all(axis=1))
-    good[good] = _below_horizon(mount, rays[good], ray_to_pixel[good], noise[index[good]])
-    level = cross(rays[:, 0], rays[:, 1]) @ robot_from_camera(mount)[:2].T
-    good &= np.hypot(level[:, 0], level[:, 1]) > 1e-12  # otherwise the ends coincide
-    index, rays, ray_to_pixel = index[good], rays[good], ray_to_pixel[good]
-    bearing, covariance = _bearings(mount, rays, ray_to_pixel, noise[index])
-    segments = LineSegments(index, rays, ray_to_pixel, noise[index], bearing, covariance)
-    sharp = np.diagonal(covariance) - mount.covariance[1, 1] < _MAX_BEARING_SIGMA_RAD**2
+    good = np.isfinite(ends).all(axis=(1, 2)) & np.isfinite(noise).all(axis=(1, 2))
+    rays, ray_to_pixel, exist = camera.ray_and_jacobian(ends)
+    good &= exist.all(axis=1)
+    good[good] = np.linalg.eigvalsh(noise[good])[:, 0] > 0
+    index = np.flatnonzero(good)
+    if not len(index):
+        return None
+    if len(index) < len(good):
+        rays, ray_to_pixel, noise = rays[index], ray_to_pixel[index], noise[index]
+    rotation, axes, attitude = robot_from_camera(mount), attitude_axes(mount), mount.covariance[1:, 1:]
+    directions, to_pixel = rays @ rotation.T, rotation @ ray_to_pixel
+    normals = cross(rays[:, 0], rays[:, 1])
+    upright = normals @ rotation.T
+    level2 = upright[:, 0] ** 2 + upright[:, 1] ** 2
+    good = _below_horizon(directions, to_pixel, noise, axes, attitude) & (level2 > 1e-24)  # or else the ends coincide
+    if not good.all():
+        directions, to_pixel, noise, normals = directions[good], to_pixel[good], noise[good], normals[good]
+        upright, level2, rays, ray_to_pixel, index = (
+            upright[good],
+            level2[good],
+            rays[good],
+            ray_to_pixel[good],
+            index[good],
+        )
+    # the line runs where the plane through the camera and the segment cuts the horizontal: normal x up
+    turned = np.zeros_like(upright)
+    turned[:, 0], turned[:, 1] = -upright[:, 1] / level2, upright[:, 0] / level2
+    to_ends = np.empty_like(directions)
+    to_ends[:, 0], to_ends[:, 1] = cross(directions[:, 1], turned), cross(turned, directions[:, 0])
+    by_pixel = (to_ends[:, :, None] @ to_pixel).reshape(-1, 1, 4)
+    own = (by_pixel @ noise @ by_pixel.swapaxes(1, 2))[:, 0, 0]
+    by_attitude = bearing_by_attitude(upright, level2, axes)
+    covariance = by_attitude @ attitude @ by_attitude.T
+    covariance[range(len(own)), range(len(own))] += own
+    bearing = np.arctan2(-upright[:, 0], upright[:, 1])
+    segments = LineSegments(index, rays, ray_to_pixel, noise, normals, bearing, covariance, own)
+    sharp = covariance.diagonal() - mount.covariance[1, 1] < _MAX_BEARING_SIGMA_RAD**2
     return segments.only(sharp) if sharp.any() else None
+
+
+def bearing_by_attitude(upright: FloatArray, level2: FloatArray, axes: FloatArray) -> FloatArray:
+    """(n, 3): change of bearings with (pan, tilt, roll), of planes with normals (n, 3) in the robot frame.
+
+    level2: (n,) squared length of the normals' level part.
+    """
+    turn = np.ones_like(upright)
+    turn[:, :2] = -upright[:, 2:] * upright[:, :2] / level2[:, None]
+    return np.asarray(turn @ axes.T)
 
 
 def agreeing(segments: LineSegments) -> tuple[NDArray[np.bool_], float]:
@@ -95,33 +142,13 @@ def modulo_quarter(angle_rad: FloatArray | float) -> FloatArray:
 
 
 def _below_horizon(
-    mount: CameraMount, rays: FloatArray, ray_to_pixel: FloatArray, covariance_px2: FloatArray
+    directions: FloatArray, to_pixel: FloatArray, covariance_px2: FloatArray, axes: FloatArray, attitude: FloatArray
 ) -> NDArray[np.bool_]:
-    rotation = robot_from_camera(mount)
-    directions = rays @ rotation.T
-    to_pixel = np.einsum("k,nekp->nep", rotation[2], ray_to_pixel)
-    own = np.stack([covariance_px2[:, :2, :2], covariance_px2[:, 2:, 2:]], axis=1)
-    variance = np.einsum("nep,nepq,neq->ne", to_pixel, own, to_pixel)
-    to_attitude = cross(attitude_axes(mount), directions[..., None, :])[..., 2]
-    variance += np.einsum("nea,ab,neb->ne", to_attitude, mount.covariance[1:, 1:], to_attitude)
+    """(n,) of directions (n, 2, 3) in the robot frame: by more than noise of the pixels and the attitude can make."""
+    by_pixel = to_pixel[:, :, 2, :]
+    blocks = covariance_px2.reshape(-1, 2, 2, 2, 2)
+    variance = np.einsum("nep,nepeq,neq->ne", by_pixel, blocks, by_pixel)
+    # how an end rises as the camera turns about an axis: axis x direction, of which the upward part
+    rise = directions[..., 1:2] * axes[:, 0] - directions[..., :1] * axes[:, 1]
+    variance += ((rise @ attitude) * rise).sum(axis=-1)
     return np.asarray((-directions[..., 2] > _HORIZON_SIGMAS * np.sqrt(variance)).all(axis=1))
-
-
-def _bearings(
-    mount: CameraMount, rays: FloatArray, ray_to_pixel: FloatArray, covariance_px2: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Bearings (n,) of the ground lines in the robot frame, modulo pi, and their joint covariance (n, n).
-
-    The line runs where the plane through the camera and the segment cuts the horizontal: normal x up.
-    """
-    rotation = robot_from_camera(mount)
-    first, second = rays[:, 0] @ rotation.T, rays[:, 1] @ rotation.T
-    normal = cross(first, second)
-    turned = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=-1)
-    to_normal = turned / np.sum(turned**2, axis=-1, keepdims=True)
-    to_directions = np.stack([cross(second, to_normal), cross(to_normal, first)], axis=1)
-    to_pixel = np.einsum("nek,nekp->nep", to_directions @ rotation, ray_to_pixel).reshape(-1, 4)
-    to_attitude = cross(normal, to_normal) @ attitude_axes(mount).T
-    covariance = to_attitude @ mount.covariance[1:, 1:] @ to_attitude.T
-    covariance += np.diag(np.einsum("np,npq,nq->n", to_pixel, covariance_px2, to_pixel))
-    return np.arctan2(-normal[:, 0], normal[:, 1]), covariance

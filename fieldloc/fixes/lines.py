@@ -10,22 +10,23 @@ seen along the ray r (robot frame) is on the line when v . r = 0. That stays lin
 ground point itself. Its first part has unit length, so that no error can be made small by shrinking the world.
 """
 
-import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.camera import Camera
-from fieldloc.fixes.line_segments import LineSegments, agreeing, usable_segments
+from fieldloc.fixes.line_segments import LineSegments, agreeing, bearing_by_attitude, modulo_quarter, usable_segments
 from fieldloc.ground import attitude_axes, cross, robot_from_camera
 from fieldloc.measurements import CameraMount, LineObservation
 from fieldloc.pose import FloatArray
 
 _ITERATIONS = 20
-_CONVERGED = 1e-8  # squared length of the last step, in sigmas; what is left after it is a hundredth of that
+_CONVERGED = 1e-8  # squared length of the last step, in sigmas; what is left after it is a hundredth of its length
 _LONGEST_STEP_SIGMAS = 2.0  # of the mount, so that a false line cannot throw the camera away
 _MISFIT_SIGMAS = 3.5
+_OF_MOUNT = np.diag([0.0, 1.0, 1.0, 1.0, 1.0])  # information on (bearing, whitened errors of the mount) beforehand
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,171 +66,158 @@ def lines_on_the_ground(
         return None
     agree, bearing = agreeing(usable)
     segments = usable.only(agree)
+    root = _square_root(mount.covariance)
     while len(segments.observed):
-        # an odd number of quarter turns away from the bearing is family 1
-        families = np.rint((segments.bearing_rad - bearing) / (np.pi / 2)).astype(np.intp) % 2
-        fit = _fit(mount, segments, families, bearing)
+        fit = _fit(mount, root, segments, bearing)
         if fit.settled and fit.against.max() < _MISFIT_SIGMAS**2:
-            extents, sigmas = _extents(segments, families, fit)
-            return GroundLines(
-                bearing_rad=fit.bearing_rad,
-                families=families,
-                distances_m=fit.distances_m,
-                extents_m=extents,
-                extents_sigma_m=sigmas,
-                covariance=fit.covariance,
-                observed=segments.observed,
-                chi_square=fit.chi_square,
-                pixel_covariance=fit.pixel_covariance,
-                by_mount=fit.by_mount,
-            )
-        segments = segments.only(np.arange(len(families)) != fit.against.argmax())
+            # an odd number of quarter turns away from the bearing is family 1
+            families = np.rint((segments.bearing_rad - bearing) / (np.pi / 2)).astype(np.intp) % 2
+            return _on_the_ground(root, segments, families, fit)
+        segments = segments.only(np.arange(len(segments.observed)) != fit.against.argmax())
     return None
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
     bearing_rad: float
-    distances_m: FloatArray
-    covariance: FloatArray
-    pixel_covariance: FloatArray
-    by_mount: FloatArray
+    mount: CameraMount  # as the lines correct it
+    covariance: FloatArray  # (5, 5) of the bearing and the mount's whitened errors
+    by_attitude: FloatArray  # (5, 3) what another pan, tilt and roll of the mount would change in those
     chi_square: float
     against: FloatArray  # (n,) how much chi_square would fall without each line, to first order
     settled: bool
-    mount: CameraMount  # as the lines correct it
-    shared_covariance: FloatArray  # (5, 5) of (bearing, height, pan, tilt, roll) after that
 
 
-def _fit(mount: CameraMount, segments: LineSegments, families: NDArray[np.intp], bearing: float) -> _Fit:
-    """Gauss-Newton over (bearing, n distances, 4 whitened errors of the mount)."""
-    lines = slice(1, 1 + len(families))
-    shared = slice(1 + len(families), None)
-    root = _square_root(mount.covariance)
-    first = _first_distances(mount, segments, families, bearing)
-    x = np.concatenate([[bearing], first, np.zeros(4)])
+def _fit(mount: CameraMount, root: FloatArray, segments: LineSegments, bearing: float) -> _Fit:
+    """Gauss-Newton over (bearing, 4 whitened errors of the mount): height, pan, tilt, roll + root e.
+
+    A line's own distance follows its two ends whatever they say, so only its bearing speaks of what all lines share.
+    """
+    weight = 1.0 / segments.bearing_variance
+    x = np.array([bearing, 0.0, 0.0, 0.0, 0.0])
+    jacobian = np.empty((len(weight), 5))
+    jacobian[:, 0] = -1.0
+    moved = mount
     for _ in range(_ITERATIONS):
-        moved = _moved(mount, root @ x[shared])
-        if moved.height_m <= 0:
-            break
-        residual, jacobian, weight = linearised(moved, root, segments, families, float(x[0]), x[lines])
-        information = np.einsum("nea,nef,nfb->ab", jacobian, weight, jacobian)
-        information[shared, shared] += np.eye(4)
-        gradient = np.einsum("nea,nef,nf->a", jacobian, weight, residual)
-        gradient[shared] += x[shared]
-        covariance = np.linalg.inv(information)
+        residual, by_attitude = bearing_misfit(moved, segments, float(x[0]))
+        jacobian[:, 1:] = by_attitude @ root[1:]
+        weighted = jacobian.T * weight
+        gradient = weighted @ residual
+        gradient[1:] += x[1:]
+        covariance = np.linalg.inv(weighted @ jacobian + _OF_MOUNT)
         step = covariance @ gradient
         settled = bool(gradient @ step < _CONVERGED)
+        x -= step * min(1.0, _LONGEST_STEP_SIGMAS / max(float(np.abs(step[1:]).max()), 1e-9))
+        moved = _moved(mount, root @ x[1:])
         if settled:
             break
-        x = x - step * min(1.0, _LONGEST_STEP_SIGMAS / max(float(np.abs(step[shared]).max()), 1e-9))
-    misfit = np.einsum("ne,nef,nf->n", residual, weight, residual)
-    # each line has two residuals; its redundancy is what its own distance and its say in the rest leave over of them
-    redundancy = 2.0 - np.einsum("nea,nef,nfb,ab->n", jacobian, weight, jacobian, covariance)
-    # another mount moves the residuals, and the estimate follows
-    to_mount = linearised(moved, np.eye(4), segments, families, float(x[0]), x[lines])[1][..., shared]
-    by_mount = -covariance @ np.einsum("nea,nef,nfb->ab", jacobian, weight, to_mount)
-    from_mount = covariance[: lines.stop, shared]
-    to_shared = np.zeros((5, len(x)))
-    to_shared[0, 0] = 1.0
-    to_shared[1:, shared] = root
+    misfit = weight * residual * residual
+    # what is left of a line's one residual after its own say in the estimate
+    redundancy = 1.0 - weight * ((jacobian @ covariance) * jacobian).sum(axis=1)
     return _Fit(
         bearing_rad=float(x[0]),
-        distances_m=x[lines],
-        covariance=covariance[: lines.stop, : lines.stop],
-        pixel_covariance=covariance[: lines.stop, : lines.stop] - from_mount @ from_mount.T,
-        by_mount=by_mount[: lines.stop],
-        chi_square=float(misfit.sum() + x[shared] @ x[shared]),
-        against=np.where(redundancy > 1e-6, misfit / np.maximum(redundancy, 1e-6), 0.0),
-        settled=settled,
         mount=moved,
-        shared_covariance=to_shared @ covariance @ to_shared.T,
+        covariance=covariance,
+        by_attitude=-(covariance @ weighted) @ by_attitude,
+        chi_square=float(misfit.sum() + x[1:] @ x[1:]),
+        against=np.where(redundancy > 1e-6, misfit / np.maximum(redundancy, 1e-6), 0.0),
+        settled=settled and moved.height_m > 0.0,
     )
 
 
-def linearised(
-    mount: CameraMount,
-    root: FloatArray,
-    segments: LineSegments,
-    families: NDArray[np.intp],
-    bearing: float,
-    distances_m: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """v . r of both ends (n, 2), its Jacobian (n, 2, 1 + n + 4) and the inverse of its pixel covariance (n, 2, 2).
-
-    The Jacobian is to the bearing, the distances and the mount's whitened error e: (height, pan, tilt, roll) + root e.
-    """
-    count = len(families)
-    index = np.arange(count)
-    height, centre = mount.height_m, np.array([mount.x_m, mount.y_m])
-    rotation = robot_from_camera(mount)
-    rays = segments.rays @ rotation.T
-    normal, normal_slope = _normals(families, bearing)
-    plane = np.column_stack([normal, (distances_m - normal @ centre) / height])
-    plane_slope = np.column_stack([normal_slope, -normal_slope @ centre / height])
-    to_height = -plane[:, 2:] * rays[..., 2] / height
-    to_attitude = cross(rays, plane[:, None]) @ attitude_axes(mount).T
-    jacobian = np.zeros((count, 2, 1 + count + 4))
-    jacobian[..., 0] = np.einsum("nk,nek->ne", plane_slope, rays)
-    jacobian[index, :, 1 + index] = rays[..., 2] / height
-    jacobian[..., 1 + count :] = np.concatenate([to_height[..., None], to_attitude], axis=-1) @ root
-    to_pixel = np.einsum("nk,nekp->nep", plane @ rotation, segments.ray_to_pixel)
-    own = segments.covariance_px2.reshape(count, 2, 2, 2, 2)
-    weight = np.linalg.inv(np.einsum("nep,nepfq,nfq->nef", to_pixel, own, to_pixel))
-    return np.einsum("nk,nek->ne", plane, rays), jacobian, weight
+def bearing_misfit(mount: CameraMount, segments: LineSegments, bearing_rad: float) -> tuple[FloatArray, FloatArray]:
+    """(n,) how far segments are turned from the bearing, modulo quarter turns; its change with pan, tilt, roll (n, 3)."""
+    upright = segments.normals @ robot_from_camera(mount).T
+    level2 = upright[:, 0] ** 2 + upright[:, 1] ** 2
+    bearing = np.arctan2(-upright[:, 0], upright[:, 1])
+    return modulo_quarter(bearing - bearing_rad), bearing_by_attitude(upright, level2, attitude_axes(mount))
 
 
-def _first_distances(
-    mount: CameraMount, segments: LineSegments, families: NDArray[np.intp], bearing: float
-) -> FloatArray:
-    """(n,) of the middle between each segment's ground points."""
-    rays = segments.rays @ robot_from_camera(mount).T
-    points = np.array([mount.x_m, mount.y_m]) + mount.height_m * rays[..., :2] / -rays[..., 2:]
-    return np.asarray(np.sum(points.mean(axis=1) * _normals(families, bearing)[0], axis=-1))
+def _on_the_ground(root: FloatArray, segments: LineSegments, families: NDArray[np.intp], fit: _Fit) -> GroundLines:
+    """The distances and extents that go with the bearing and the mount, and how errors of those go on into them."""
+    count, mount, height = len(families), fit.mount, fit.mount.height_m
+    rotation, axes = robot_from_camera(mount), attitude_axes(mount)
+    rays, to_pixel = segments.rays @ rotation.T, rotation @ segments.ray_to_pixel
+    # the normals of both families, and their change with the bearing; a family runs along the other's normal
+    c, s = math.cos(fit.bearing_rad), math.sin(fit.bearing_rad)
+    normals, slopes = np.array([[-s, c], [c, s]]), np.array([[-c, -s], [-s, c]])
+    normal, slope = normals[families], slopes[families]
+    foot = np.array([mount.x_m, mount.y_m])
+    level, rise = rays[..., :2], rays[..., 2]
 
+    # q = (d - n . c) / h of the two ends' v . r = n . r + q r_z = 0: first both alike, then by their own noise
+    ahead = (level @ normal[:, :, None])[..., 0]
+    plane = np.empty((count, 3))
+    plane[:, :2] = normal
+    plane[:, 2] = -(ahead * rise).sum(axis=1) / (rise * rise).sum(axis=1)
+    by_pixel = (plane[:, None, None, :] @ to_pixel)[:, :, 0]
+    by_ends = np.zeros((count, 2, 4))
+    by_ends[:, 0, :2], by_ends[:, 1, 2:] = by_pixel[:, 0], by_pixel[:, 1]
+    own = by_ends @ segments.covariance_px2 @ by_ends.swapaxes(1, 2)
+    share = (np.linalg.inv(own) @ rise[:, :, None])[..., 0]
+    information = (rise * share).sum(axis=1)
+    share /= information[:, None]
+    plane[:, 2] = -(ahead * share).sum(axis=1)
+    # change of (bearing, distances) with (bearing, height, pan, tilt, roll)
+    by_shared = np.zeros((1 + count, 5))
+    by_shared[0, 0] = 1.0
+    mean_ray = (rays * share[:, :, None]).sum(axis=1)
+    by_shared[1:, 0] = slope @ foot - height * (mean_ray[:, :2] * slope).sum(axis=1)
+    by_shared[1:, 1] = plane[:, 2]
+    by_shared[1:, 2:] = -height * (cross(mean_ray, plane) @ axes.T)
+    whitened = by_shared.copy()
+    whitened[:, 1:] = by_shared[:, 1:] @ root
+    to_fit = whitened @ fit.covariance
+    covariance = to_fit @ whitened.T
+    covariance[range(1, 1 + count), range(1, 1 + count)] += height * height / information
+    by_mount = by_shared[:, 1:].copy()
+    by_mount[:, 1:] += whitened @ fit.by_attitude
 
-def _extents(segments: LineSegments, families: NDArray[np.intp], fit: _Fit) -> tuple[FloatArray, FloatArray]:
-    """Where the ends are along their lines, lower first, and the standard deviations (n, 2) each."""
-    rotation = robot_from_camera(fit.mount)
-    rays = segments.rays @ rotation.T
-    down = np.maximum(-rays[..., 2], 1e-9)  # the fit may have lifted a far end to the horizon
-    along, along_slope = _normals(1 - families, fit.bearing_rad)  # each family runs along the other's normal
-    ahead = np.einsum("nk,nek->ne", along, rays[..., :2]) / down  # in heights
+    # the ends along their lines
+    down = np.maximum(-rise, 1e-9)  # the fit may have lifted a far end to the horizon
+    along, along_slope = normals[1 - families], slopes[1 - families]
     to_ray = np.empty_like(rays)
     to_ray[..., :2] = along[:, None]
-    to_ray[..., 2] = ahead
-    to_ray *= (fit.mount.height_m / down)[..., None]
-    centre = np.array([fit.mount.x_m, fit.mount.y_m])
-    points = centre + fit.mount.height_m * rays[..., :2] / down[..., None]
-    to_bearing = np.einsum("nk,nek->ne", along_slope, points)
-    to_attitude = cross(rays, to_ray) @ attitude_axes(fit.mount).T
-    to_shared = np.concatenate([to_bearing[..., None], ahead[..., None], to_attitude], axis=-1)
-    to_pixel = np.einsum("nek,nekp->nep", to_ray @ rotation, segments.ray_to_pixel)
-    own = np.stack([segments.covariance_px2[:, :2, :2], segments.covariance_px2[:, 2:, 2:]], axis=1)
-    variance = np.einsum("nep,nepq,neq->ne", to_pixel, own, to_pixel)
-    variance += np.einsum("nea,ab,neb->ne", to_shared, fit.shared_covariance, to_shared)
-    ends = np.einsum("nk,nek->ne", along, points)
-    order = np.argsort(ends, axis=1)
-    return np.take_along_axis(ends, order, axis=1), np.sqrt(np.take_along_axis(variance, order, axis=1))
-
-
-def _normals(families: NDArray[np.intp], bearing: float) -> tuple[FloatArray, FloatArray]:
-    """Normals (n, 2) of the families, n . p = d, and their change with the bearing."""
-    c, s = np.cos(bearing), np.sin(bearing)
-    across, along = np.array([-s, c]), np.array([c, s])
-    first = (families == 0)[:, None]
-    return np.where(first, across, along), np.where(first, -along, across)
+    to_ray[..., 2] = (level @ along[:, :, None])[..., 0] / down
+    points = foot + level * (height / down)[..., None]
+    by_shared = np.empty((count, 2, 5))
+    by_shared[..., 0] = (points @ along_slope[:, :, None])[..., 0]
+    by_shared[..., 1] = to_ray[..., 2]
+    to_ray *= (height / down)[..., None]
+    by_shared[..., 2:] = cross(rays, to_ray) @ axes.T
+    by_shared[..., 1:] = by_shared[..., 1:] @ root
+    by_pixel = (to_ray[:, :, None] @ to_pixel)[:, :, 0]
+    by_ends[:, 0, :2], by_ends[:, 1, 2:] = by_pixel[:, 0], by_pixel[:, 1]
+    variance = ((by_ends @ segments.covariance_px2) * by_ends).sum(axis=2)
+    variance += ((by_shared @ fit.covariance) * by_shared).sum(axis=2)
+    ends, sigmas = (points @ along[:, :, None])[..., 0], np.sqrt(variance)
+    turned = ends[:, 0] > ends[:, 1]
+    ends[turned], sigmas[turned] = ends[turned, ::-1], sigmas[turned, ::-1]
+    return GroundLines(
+        bearing_rad=fit.bearing_rad,
+        families=families,
+        distances_m=normal @ foot + height * plane[:, 2],
+        extents_m=ends,
+        extents_sigma_m=sigmas,
+        covariance=covariance,
+        observed=segments.observed,
+        chi_square=fit.chi_square,
+        pixel_covariance=covariance - to_fit[:, 1:] @ to_fit[:, 1:].T,
+        by_mount=by_mount,
+    )
 
 
 def _moved(mount: CameraMount, change: FloatArray) -> CameraMount:
     """The mount with (height, pan, tilt, roll) changed by (4,)."""
-    height, pan, tilt, roll = (float(value) for value in change)
-    return dataclasses.replace(
-        mount,
-        height_m=mount.height_m + height,
-        pan_rad=mount.pan_rad + pan,
-        tilt_rad=mount.tilt_rad + tilt,
-        roll_rad=mount.roll_rad + roll,
+    height, pan, tilt, roll = change.tolist()
+    return CameraMount(
+        mount.height_m + height,
+        mount.pan_rad + pan,
+        mount.tilt_rad + tilt,
+        mount.roll_rad + roll,
+        mount.covariance,
+        mount.x_m,
+        mount.y_m,
     )
 
 
