@@ -21,6 +21,7 @@ SCHEMAS = {
     topics.ANNOTATIONS: "ImageAnnotations",
     topics.HYPOTHESES: "PosesInFrame",
     topics.WEIGHTS: "SceneUpdate",
+    topics.EVENTS: "Log",
 }
 """What tests/test_foxglove_results.py and tests/test_estimates.py see written."""
 SETTINGS = {
@@ -55,7 +56,7 @@ def test_each_panel_is_placed_once():
 
 def test_there_is_a_panel_of_each_kind():
     kinds = [name.partition("!")[0] for name in PANELS]
-    assert sorted(kinds) == ["3D", "Image", "Plot", "Plot", "RawMessages"]
+    assert sorted(kinds) == ["3D", "Image", "Plot", "Plot", "Plot", "RawMessages"]
 
 
 def test_every_topic_that_is_shown_is_one_that_is_written():
@@ -63,7 +64,7 @@ def test_every_topic_that_is_shown_is_one_that_is_written():
     shown += [topic for panel in panels("Image") for topic in panel["imageMode"]["annotations"]]
     shown += [panel["topicPath"] for panel in panels("RawMessages")]
     shown += [path["value"].partition(".")[0] for panel in panels("Plot") for path in panel["paths"]]
-    assert set(shown) <= {*SCHEMAS, TOPICS["estimate"]}
+    assert set(shown) <= {*SCHEMAS, TOPICS["estimate"], TOPICS["hypotheses"]}
 
 
 def test_every_scene_pose_and_way_is_in_the_3d_panel():
@@ -74,9 +75,9 @@ def test_every_scene_pose_and_way_is_in_the_3d_panel():
 @pytest.mark.parametrize("path", [path["value"] for panel in panels("Plot") for path in panel["paths"]])
 def test_every_path_that_is_plotted_leads_to_a_number(path):
     topic, field, index, _ = re.fullmatch(r"(/[a-z/]+)\.([a-z_]+)(?:\[(\d+)\])?(\.@sqrt)?", path).groups()
-    if topic == TOPICS["estimate"]:
-        assert index is None  # viewers cannot look into lists of lists, as its covariance is one
-        assert BY_ROLE["estimate"].json_schema["properties"][field]["type"] == "number"
+    if (role := topic[1:]) in BY_ROLE:
+        assert index is None  # viewers cannot look into lists of lists, as a covariance is one
+        assert BY_ROLE[role].json_schema["properties"][field]["type"] == "number"
     else:
         message = getattr(foxglove.messages, SCHEMAS[topic])
         message(**{field: [0.0] * 36})
