@@ -20,13 +20,14 @@ class ErrorCorrelation:
     """Over what time errors stay alike: of a landmark's range, of its bearing, of all that one camera image says, of a
     compass.
 
-    0 takes every observation for news.
+    0 takes every observation for news. A compass beside steel or motors is wrong for ten seconds or so: those are to
+    weigh as two readings, of which the right ones of the next half minute can still make good.
     """
 
     range_s: float = 2.0
     bearing_s: float = 0.5
     image_s: float = 1.0
-    compass_s: float = 2.0
+    compass_s: float = 5.0
 
 
 class Repetition:
