@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldloc import pose as se2
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
@@ -54,15 +53,6 @@ class Anchors:
             self.free[rows],
             self.covariances[rows],
         )
-
-    def linearised(self, rows: IntArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Whitened errors (k, 3) of poses (k, 3) against the rows (k,), Jacobians (k, 3, 7) by tangent and mount."""
-        at = self.poses[rows]
-        error = se2.between(at, poses)
-        turned = se2.rotation3(error[:, 2])
-        whitening = self.whitening[rows]
-        jacobian = np.concatenate([whitening @ turned, -self.by_mount[rows]], axis=-1)
-        return (whitening @ error[:, :, None])[..., 0], jacobian
 
 
 def nothing(log_weight: float) -> Anchors:

@@ -1,6 +1,5 @@
 """What the lines of an image can be on the map, as anchors for its posts."""
 
-
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
 from fieldloc.fixes.line_solutions import line_constraints, line_solutions

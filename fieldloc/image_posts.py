@@ -6,14 +6,18 @@ and roll, which everything in the image shares; so they are kept apart from each
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.camera import Camera
+from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
 from fieldloc.ground import attitude_axes, cross, robot_from_camera
+from fieldloc.image_map import image_map
 from fieldloc.measurements import CameraMount, PostObservation
+from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray, wrap
 
 NUMBERS = 4  # foot's bearing and inverse distance, edges' bearing and inverse distance
@@ -28,18 +32,19 @@ _BOTH = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
 class PostsSeen:
     """p posts of use, seen from the point `below_camera` (2,) of the robot.
 
-    values: (p, 4) bearing and inverse distance of the axis by the foot, then by the edges. whitening: (p, 4, 4) that
-    makes the pixels' noise white, zero for what was not seen. whitened_by_mount: (p, 4, 4) change of the whitened
-    values with the mount's whitened errors. log_norm: (p,) log density of the noise at zero; log_clutter: (p,) of what
-    is no post of the map's. allowed: (p, m) whether it can be that landmark.
+    Four numbers each: bearing and inverse distance of the axis by the foot, then by the edges. Predicted (bearing,
+    inverse distance) - fused, by whitening_both (p, 4, 2), plus white_offset (p, 4), is the error that the pixels'
+    noise makes white; zero for what was not seen. whitened_by_mount: (p, 4, 4) change of the whitened numbers with the
+    mount's whitened errors. log_clutter: (p,) log density of what is no post of the map's; log_norm: (p,) of the noise
+    at zero, with the odds that it is one. allowed: (p, m) whether it can be that landmark.
     fused: (p, 2) the best bearing and inverse distance, fused_covariance (p, 2, 2) with the mount's part; log_fused:
     (p,) log of the factor that turns the normal density of those two into that of all numbers.
     seen: (p, 2) whether its foot and its edges were. labelled: whether any has a name.
     """
 
     below_camera: FloatArray
-    values: FloatArray
-    whitening: FloatArray
+    whitening_both: FloatArray
+    white_offset: FloatArray
     whitened_by_mount: FloatArray
     log_norm: FloatArray
     log_clutter: FloatArray
@@ -51,13 +56,7 @@ class PostsSeen:
     labelled: bool
 
     def __len__(self) -> int:
-        return len(self.values)
-
-    def errors(self, predicted: FloatArray) -> FloatArray:
-        """(..., p, 4) of predicted bearings and inverse distances (..., p, 2) against what was seen."""
-        error = np.concatenate([predicted, predicted], axis=-1) - self.values
-        error[..., ::2] = wrap(error[..., ::2])
-        return error
+        return len(self.fused)
 
     def predicted(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Bearing and inverse distance (..., 2) of landmarks (..., 2) from poses (..., 3), Jacobian (..., 2, 3)."""
@@ -78,8 +77,28 @@ class PostsSeen:
         return value, jacobian
 
 
+def seen_together(posts: PostsSeen, i: IntArray, j: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Bearing and inverse distance of posts i and j (n,) as (n, 4), and covariance (n, 4, 4): what two posts say of the
+    mount's errors, which they share, included."""
+    design = np.zeros((len(i), 2 * NUMBERS, 8))
+    design[:, :NUMBERS, :2], design[:, NUMBERS:, 2:4] = posts.whitening_both[i], posts.whitening_both[j]
+    design[:, :NUMBERS, 4:], design[:, NUMBERS:, 4:] = -posts.whitened_by_mount[i], -posts.whitened_by_mount[j]
+    offset = np.concatenate([posts.white_offset[i], posts.white_offset[j]], axis=1)
+    back = np.swapaxes(design, 1, 2)
+    information = back @ design
+    information[:, range(4, 8), range(4, 8)] += 1.0
+    covariance = np.linalg.inv(information)
+    correction = (covariance @ back @ offset[..., None])[:, :4, 0]
+    return np.concatenate([posts.fused[i], posts.fused[j]], axis=1) - correction, covariance[:, :4, :4]
+
+
 def posts_seen(
-    posts: tuple[PostObservation, ...], camera: Camera, mount: CameraMount, root: FloatArray, field: FieldMap
+    posts: tuple[PostObservation, ...],
+    camera: Camera,
+    mount: CameraMount,
+    root: FloatArray,
+    field: FieldMap,
+    detection: Detection,
 ) -> PostsSeen:
     """Those of use: with a foot on the ground or, where the landmarks have a width, with two edges in their order.
 
@@ -93,7 +112,7 @@ def posts_seen(
     if not rows or not field.landmarks or mount.height_m <= 0:
         return _none(len(field.landmarks))
     pixels, noise = _pixels([posts[k] for k in rows])
-    radius_m = _radius_m(field)
+    radius_m = image_map(field).radius_m
     rays, to_pixels, exists = camera.ray_and_jacobian(pixels)
     rotation = robot_from_camera(mount)
     directions, to_pixels = rays @ rotation.T, rotation @ to_pixels
@@ -110,7 +129,7 @@ def posts_seen(
     mask = np.repeat(np.stack([seen & exists[:, 2], edges_seen & exists[:, :2].all(axis=1)], axis=-1), 2, axis=-1)
     return _weighed(
         np.concatenate([values, edge_values], axis=-1), jacobian, noise, by_mount @ root, mask, camera, mount, field,
-        [indices[k] for k in rows],
+        [indices[k] for k in rows], detection,
     )  # fmt: skip
 
 
@@ -124,6 +143,7 @@ def _weighed(
     mount: CameraMount,
     field: FieldMap,
     indices: list[int | None],
+    detection: Detection,
 ) -> PostsSeen:
     mask = mask & np.isfinite(values)
     kept = mask.any(axis=1)
@@ -143,6 +163,7 @@ def _weighed(
     log_clutter = -np.log(_width_rad(camera)) - np.log(_LARGEST_INVERSE_M) * np.ones(len(values))
     log_clutter -= np.where(by_edges & by_foot, np.log(_ONE_THING_RAD) + np.log(_LARGEST_INVERSE_M), 0.0)
     by_mount = whitening @ by_mount
+    log_norm -= np.log(detection.clutter) + log_clutter - np.log1p(-detection.clutter) - np.log(detection.post)
     fused, fused_covariance, log_rest = _fused(values, whitening, by_mount, by_foot)
     allowed = np.ones((len(values), len(field.landmarks)), dtype=np.bool_)
     names = [indices[row] for row in np.flatnonzero(kept)]
@@ -151,19 +172,22 @@ def _weighed(
             allowed[row] = np.arange(len(field.landmarks)) == index
     below = np.array([mount.x_m, mount.y_m])
     labelled = any(index is not None for index in names)
+    both = whitening @ _BOTH
+    apart = np.concatenate([fused, fused], axis=-1) - values
+    apart[:, ::2] = wrap(apart[:, ::2])
     return PostsSeen(
-        below,
-        values,
-        whitening,
-        by_mount,
-        log_norm,
-        log_clutter,
-        allowed,
-        fused,
-        fused_covariance,
-        log_norm + log_rest,
-        mask[:, ::2],
-        labelled,
+        below_camera=below,
+        whitening_both=both,
+        white_offset=(whitening @ apart[..., None])[..., 0],
+        whitened_by_mount=by_mount,
+        log_norm=log_norm,
+        log_clutter=log_clutter,
+        allowed=allowed,
+        fused=fused,
+        fused_covariance=fused_covariance,
+        log_fused=log_norm + log_rest,
+        seen=mask[:, ::2],
+        labelled=labelled,
     )
 
 
@@ -244,12 +268,7 @@ def _fused(
     return first + step[:, :2, 0], covariance[:, :2, :2], log_rest
 
 
-def _radius_m(field: FieldMap) -> float:
-    """Of the posts, where all have the same, known one, else 0."""
-    diameters = {mark.diameter_m for mark in field.landmarks}
-    return 0.5 * diameters.pop() if len(diameters) == 1 else 0.0
-
-
+@lru_cache(maxsize=16)
 def _width_rad(camera: Camera) -> float:
     """What the image spans from left to right."""
     middle = camera.cy_px
@@ -259,7 +278,16 @@ def _width_rad(camera: Camera) -> float:
 
 def _none(landmarks: int) -> PostsSeen:
     return PostsSeen(
-        np.zeros(2), np.zeros((0, 4)), np.zeros((0, 4, 4)), np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0),
-        np.zeros((0, landmarks), dtype=np.bool_), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0),
-        np.zeros((0, 2), dtype=np.bool_), labelled=False,
-    )  # fmt: skip
+        below_camera=np.zeros(2),
+        whitening_both=np.zeros((0, NUMBERS, 2)),
+        white_offset=np.zeros((0, NUMBERS)),
+        whitened_by_mount=np.zeros((0, NUMBERS, 4)),
+        log_norm=np.zeros(0),
+        log_clutter=np.zeros(0),
+        allowed=np.zeros((0, landmarks), dtype=np.bool_),
+        fused=np.zeros((0, 2)),
+        fused_covariance=np.zeros((0, 2, 2)),
+        log_fused=np.zeros(0),
+        seen=np.zeros((0, 2), dtype=np.bool_),
+        labelled=False,
+    )

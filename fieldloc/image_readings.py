@@ -1,173 +1,247 @@
-"""Every way to read the posts of an image beside its lines: seeds of poses, and which further posts fit them."""
+"""Every way to read the posts of an image beside its lines.
+
+A whole pose comes from lines of both directions; or from lines of one direction, cut by a post; or from two posts. To
+each the other posts are added that stand where they should from there, or are left as none of the map's. Complete in
+that sense: what is not here fails a gate that a right reading fails once in ten thousand times.
+
+Where a post is so far that the likelihood bends (along the circle on which two posts appear under one angle, or along
+a line of sight), it is cut into windows that are straight enough, each a solution of its own.
+"""
 
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldloc.field import FieldMap
 from fieldloc.image_anchors import Anchors
-from fieldloc.image_posts import PostsSeen
-from fieldloc.image_states import Readings, Solved, solve
-from fieldloc.mixture import IntArray
+from fieldloc.image_map import ImageMap
+from fieldloc.image_posts import PostsSeen, seen_together
+from fieldloc.image_states import Readings, Solved, Windows, solve
 from fieldloc.pose import FloatArray, wrap
 
 _GATE = 18.42  # chi-square of two degrees: a right post fails once in ten thousand
 _SIGMAS = 4.0  # by how much a misfit may exceed its mean, as a normal variable does by as many sigmas
-_AROUND_M = 1.0  # a robot can stand outside of the lines
 _FARTHEST_M = 25.0
-_SEED_STEPS = 3
-_STEPS = 2
+_GRID = np.linspace(-1.0, 1.0, 41)  # of places on a circle
+_LEAST_ANGLE_RAD = 1e-3
+_LARGEST_LOG_RATIO = 3.0  # of two posts' distances
+_SEED_STEPS = 2
+_WINDOW_STEPS = 4
+_EDGE_RAD = 0.6173  # of one turn of a symmetry: where no field's lines run
+_STRAIGHT_LOG_M = 0.15  # standard deviation of a log distance up to which a likelihood is a Gaussian
+_STRAIGHT_RAD = 0.08  # the same of the direction from two posts
+_APART = 2.0  # windows, in their width: then their sum is flat to a hundredth
+_MOST_WINDOWS = 7  # to each side
 
 
-def read(anchors: Anchors, posts: PostsSeen, field: FieldMap, turn_rad: float) -> Solved:
-    """All readings that determine a pose, with how likely they are. turn_rad: 2 pi, or the field's symmetry, of which
-    then one turn is enough."""
-    none = np.zeros(0, dtype=np.intp)
-    start = Readings(none, np.zeros((0, len(posts)), dtype=np.intp), np.zeros((0, 3)))
-    by_posts = [make(anchors, posts, field) for make in (_along_lines, _pairs)] if len(posts) else []
-    for seeds in by_posts:
-        start = start.beside(seeds)
-    start = start.take(_one_turn(start.poses[:, 2], turn_rad))
-    found = solve(start, anchors, posts, field, _SEED_STEPS) if len(start) else None
-    whole = np.flatnonzero(anchors.whole)
-    base = Readings(whole, np.full((len(whole), len(posts)), -1, dtype=np.intp), anchors.poses[whole])
-    covariances = anchors.covariances[whole]
-    if found is not None:
+def read(anchors: Anchors, posts: PostsSeen, field: ImageMap, turn_rad: float, least: float) -> Solved:
+    """All readings that determine a pose, with how likely they are; those nowhere likelier than `least` are left out.
+
+    turn_rad: 2 pi, or the field's symmetry, of which then one turn is enough. The last anchor is the one that says
+    nothing.
+    """
+    whole = _of_lines(anchors, len(posts))
+    if not len(posts):
+        return whole.take(_inside(whole.readings.poses, field))
+    seeds = _along_lines(anchors, posts, field).beside(_pairs(anchors, posts, field))
+    seeds = seeds.take(one_turn(seeds.poses[:, 2], turn_rad))
+    base = whole
+    if len(seeds):
+        found = solve(seeds, anchors, posts, field, _SEED_STEPS)
         found = found.take(_possible(found, anchors, field))
-        base = base.beside(found.readings)
-        covariances = np.concatenate([covariances, found.covariances])
-    every = _with_more_posts(base, covariances, posts, field) if len(posts) else base
-    if not len(every):
-        return _nothing(len(posts))
-    out = solve(every, anchors, posts, field, _STEPS)
-    return out.take(_possible(out, anchors, field))
+        base = whole.beside(found)
+    more = _with_more_posts(base, posts, field)
+    out = base
+    if len(base) > len(whole):
+        out = whole.beside(_bent(_straightened(found, anchors, posts, field, least), field, len(anchors) - 1))
+    if len(more):
+        out = out.beside(solve(more, anchors, posts, field, 1))
+    log_peak = out.log_integrals - 0.5 * np.linalg.slogdet(2.0 * np.pi * out.covariances)[1]
+    return out.take(_possible(out, anchors, field) & (log_peak > least))
 
 
 def one_turn(headings_rad: FloatArray, turn_rad: float) -> NDArray[np.bool_]:
-    """One each of headings that differ by whole turns of a symmetry; the edge is where no field's lines run."""
+    """One each of headings that differ by whole turns of a symmetry."""
     return np.asarray((headings_rad - _EDGE_RAD) % (2 * np.pi) < turn_rad)
 
 
-_EDGE_RAD = 0.6173
-_one_turn = one_turn
+def _of_lines(anchors: Anchors, posts: int) -> Solved:
+    """Whole poses of lines, with no post matched."""
+    rows = np.flatnonzero(anchors.whole)
+    readings = Readings(rows, np.full((len(rows), posts), -1, dtype=np.intp), anchors.poses[rows])
+    covariances, zeros = anchors.covariances[rows], np.zeros(len(rows))
+    return Solved(readings, covariances, anchors.log_weights[rows], zeros, zeros.astype(np.intp))
 
 
-def _along_lines(anchors: Anchors, posts: PostsSeen, field: FieldMap) -> Readings:
+def _along_lines(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Readings:
     """Lines of one direction cut by one post each, the first of those that are the map's."""
-    rows = np.flatnonzero(~anchors.whole & anchors.whitening.any(axis=(1, 2)))
+    rows = np.flatnonzero(~anchors.whole)[:-1]
+    if not len(rows):
+        return Readings.none(len(posts))
     post, mark = np.nonzero(posts.allowed)
     index = np.repeat(rows, len(post))
     post, mark = np.tile(post, len(rows)), np.tile(mark, len(rows))
-    heading = anchors.poses[index, 2]
-    offset = posts.below_camera
-    c, s = np.cos(heading), np.sin(heading)
-    ahead = heading + posts.fused[post, 0]
-    sight = np.stack([np.cos(ahead), np.sin(ahead)], axis=-1)
-    # where the robot would be at the post
-    at_post = field.positions[mark] - np.stack([c * offset[0] - s * offset[1], s * offset[0] + c * offset[1]], axis=-1)
+    at = anchors.poses[index]
+    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
+    ahead = at[:, 2] + posts.fused[post, 0]
+    sight_x, sight_y = np.cos(ahead), np.sin(ahead)
     free = anchors.free[index]
-    across = np.stack([free[:, 1], -free[:, 0]], axis=-1)
-    gap = np.sum(across * (at_post - anchors.poses[index, :2]), axis=-1)
-    cosine, sine = np.sum(across * sight, axis=-1), np.sum(free * sight, axis=-1)
+    # the robot if it stood at the post, and from there backwards along the line of sight
+    ahead_m, left_m = posts.below_camera
+    x = field.landmarks[mark, 0] - c * ahead_m + s * left_m
+    y = field.landmarks[mark, 1] - s * ahead_m - c * left_m
+    gap = free[:, 1] * (x - at[:, 0]) - free[:, 0] * (y - at[:, 1])
+    cosine, sine = free[:, 1] * sight_x - free[:, 0] * sight_y, free[:, 0] * sight_x + free[:, 1] * sight_y
+    gap = np.where(np.abs(gap) < 1e-3, 1e-3, gap)
     # inverse distance by the line and by the post, the better counts for more
-    safe = np.where(np.abs(gap) < 1e-3, 1e-3, gap)
-    by_line = cosine / safe
+    by_line, own = cosine / gap, posts.fused[post, 1]
     variance = anchors.covariances[index]
-    line_variance = (variance[:, 0, 0] * sine**2 + by_line**2 * variance[:, 1, 1]) / safe**2 + 1e-6
-    own, own_variance = posts.fused[post, 1], posts.fused_covariance[post, 1, 1]
+    line_variance = (variance[:, 0, 0] * sine**2 + by_line**2 * variance[:, 1, 1]) / gap**2 + 1e-6
+    own_variance = posts.fused_covariance[post, 1, 1]
     agree = (by_line - own) ** 2 < 2.0 * _GATE * (line_variance + own_variance)
-    inverse = (by_line / line_variance + own / own_variance) / (1.0 / line_variance + 1.0 / own_variance)
+    inverse = (by_line * own_variance + own * line_variance) / (own_variance + line_variance)
     distance = 1.0 / np.maximum(inverse, 1.0 / _FARTHEST_M)
-    position = at_post - distance[:, None] * sight
-    poses = np.concatenate([position, heading[:, None]], axis=-1)
-    kept = agree & _inside(poses, field)
-    matched = np.full((len(index), len(posts)), -1, dtype=np.intp)
-    matched[np.arange(len(index)), post] = mark
-    return Readings(index, matched, poses).take(kept)
+    poses = np.stack([x - distance * sight_x, y - distance * sight_y, at[:, 2]], axis=-1)
+    kept = np.flatnonzero(agree & _inside(poses, field))
+    matched = np.full((len(kept), len(posts)), -1, dtype=np.intp)
+    matched[np.arange(len(kept)), post[kept]] = mark[kept]
+    return Readings(index[kept], matched, poses[kept])
 
 
-def _pairs(anchors: Anchors, posts: PostsSeen, field: FieldMap) -> Readings:
-    """Two posts without any line, the first two of those that are the map's."""
-    found = []
-    none = len(anchors) - 1  # the anchor that says nothing
-    inverse = np.maximum(posts.fused[:, 1], 1.0 / _FARTHEST_M)
-    bearing = posts.fused[:, 0]
-    seen = posts.below_camera + np.stack([np.cos(bearing), np.sin(bearing)], axis=-1) / inverse[:, None]
-    for i, j in combinations(range(len(posts)), 2):
-        one, other = np.nonzero(
-            posts.allowed[i][:, None] & posts.allowed[j] & ~np.eye(len(field.landmarks), dtype=bool)
-        )
-        p, q = field.positions[one], field.positions[other]
-        apart, on_map = seen[j] - seen[i], q - p
-        # how far apart they are must agree with how far apart they look
-        spread = np.sqrt(posts.fused_covariance[[i, j], 1, 1]) / inverse[[i, j]]
-        slack = 2.0 * _SIGMAS * np.hypot(*(spread / inverse[[i, j]])) + 0.2
-        agree = np.abs(np.hypot(*on_map.T) - np.hypot(*apart)) < slack
-        heading = np.arctan2(on_map[:, 1], on_map[:, 0]) - np.arctan2(apart[1], apart[0])
-        share = inverse[[i, j]] ** 2 / np.sum(inverse[[i, j]] ** 2)
-        middle = share[0] * seen[i] + share[1] * seen[j]
-        c, s = np.cos(heading), np.sin(heading)
-        turned = np.stack([c * middle[0] - s * middle[1], s * middle[0] + c * middle[1]], axis=-1)
-        poses = np.concatenate([share[0] * p + share[1] * q - turned, wrap(heading)[:, None]], axis=-1)
-        matched = np.full((len(poses), len(posts)), -1, dtype=np.intp)
-        matched[:, i], matched[:, j] = one, other
-        found.append(Readings(np.full(len(poses), none), matched, poses).take(agree))
-    if not found:
-        return Readings(np.zeros(0, dtype=np.intp), np.zeros((0, len(posts)), dtype=np.intp), np.zeros((0, 3)))
-    out = found[0]
-    for more in found[1:]:
-        out = out.beside(more)
-    return out
+def _pairs(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Readings:
+    """Two posts without any line, the first two of those that are the map's.
+
+    The angle between them puts the robot on a circle (see `fieldloc.fixes.two_posts`): here are the places on it that
+    explain the distances best, which are two where the robot is aside of the posts to either hand.
+    """
+    count = len(posts)
+    if count < 2:
+        return Readings.none(count)
+    i, j = np.array(list(combinations(range(count), 2))).T
+    together, covariance = seen_together(posts, i, j)
+    alpha = wrap(together[:, 2] - together[:, 0])[:, None]
+    alpha = np.where(np.abs(alpha) < _LEAST_ANGLE_RAD, _LEAST_ANGLE_RAD, alpha)
+    unit = np.abs(alpha)
+    rho = unit * np.sinh(np.arcsinh(_LARGEST_LOG_RATIO / unit) * _GRID)
+    w = 1.0 / np.expm1(1j * alpha - rho)
+    different = ~np.eye(len(field.landmarks), dtype=np.bool_)
+    pair, one, other = np.nonzero(posts.allowed[i][:, :, None] & posts.allowed[j][:, None, :] & different)
+    p, chord = field.landmarks[one], field.landmarks[other] - field.landmarks[one]
+    length = np.hypot(chord[:, 0], chord[:, 1])[:, None]
+    of_i = (1.0 / np.abs(w))[pair] / length - together[pair, 1][:, None]
+    of_j = (1.0 / np.abs(1.0 + w))[pair] / length - together[pair, 3][:, None]
+    a, b, d = (covariance[pair, row, column][:, None] for row, column in ((1, 1), (1, 3), (3, 3)))
+    misfit = (d * of_i**2 - 2.0 * b * of_i * of_j + a * of_j**2) / (a * d - b * b)
+    lowest = misfit < _GATE
+    lowest[:, 1:] &= misfit[:, 1:] < misfit[:, :-1]
+    lowest[:, :-1] &= misfit[:, :-1] <= misfit[:, 1:]
+    row, column = np.nonzero(lowest)
+    at, toward = w[pair[row], column], chord[row, 0] + 1j * chord[row, 1]
+    place = p[row, 0] + 1j * p[row, 1] - toward * at
+    heading = wrap(np.angle(toward * at) - together[pair[row], 0])
+    place = place - np.exp(1j * heading) * complex(*posts.below_camera)
+    poses = np.stack([place.real, place.imag, heading], axis=-1)
+    matched = np.full((len(row), count), -1, dtype=np.intp)
+    each = np.arange(len(row))
+    matched[each, i[pair[row]]], matched[each, j[pair[row]]] = one[row], other[row]
+    found = Readings(np.full(len(row), len(anchors) - 1), matched, poses)
+    return found.take(_inside(poses, field))
 
 
-def _with_more_posts(base: Readings, covariances: FloatArray, posts: PostsSeen, field: FieldMap) -> Readings:
-    """The readings, and those with further posts that stand where they should from the pose; each set once."""
-    if not len(base):
-        return base
-    value, slope = posts.predicted(base.poses[:, None], field.positions)
+def _with_more_posts(base: Solved, posts: PostsSeen, field: ImageMap) -> Readings:
+    """The readings with further posts that stand where they should from the pose; each set of posts once."""
+    every = base.readings
+    value, slope = posts.predicted(every.poses[:, None], field.landmarks)
     error = value[:, None] - posts.fused[:, None]
-    error[..., 0] = wrap(error[..., 0])
+    x, y = wrap(error[..., 0]), error[..., 1]
     # twice the sum, as the mount's errors are in both
-    spread = (slope @ covariances[:, None] @ np.swapaxes(slope, -1, -2))[:, None] + posts.fused_covariance[:, None]
+    spread = (slope @ base.covariances[:, None] @ np.swapaxes(slope, -1, -2))[:, None] + posts.fused_covariance[:, None]
     a, b, d = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
-    x, y = error[..., 0], error[..., 1]
     distance = (d * x * x - 2.0 * b * x * y + a * y * y) / (a * d - b * b)
-    last = np.where(base.matched >= 0, np.arange(len(posts)), -1).max(axis=1)
-    fits = (distance < 2.0 * _GATE) & posts.allowed & (np.arange(len(posts)) > last[:, None])[..., None]
-    every, parents = base, np.arange(len(base))
+    order = np.arange(len(posts))
+    last = np.where(every.matched >= 0, order, -1).max(axis=1, initial=-1)
+    fits = (distance < 2.0 * _GATE) & posts.allowed & (order > last[:, None])[..., None]
+    parents = np.arange(len(base))
     for post in range(len(posts)):
-        row, mark = np.nonzero(
-            fits[parents, post] & (every.matched[:, :, None] != np.arange(fits.shape[2])).all(axis=1)
-        )
+        free = (every.matched[:, :, None] != np.arange(fits.shape[2])).all(axis=1)
+        row, mark = np.nonzero(fits[parents, post] & free)
         if len(row):
             more = every.take(row)
             more.matched[:, post] = mark
             every, parents = every.beside(more), np.concatenate([parents, parents[row]])
-    return every
+    return every.take(np.arange(len(base), len(every)))
 
 
-def _possible(solved: Solved, anchors: Anchors, field: FieldMap) -> NDArray[np.bool_]:
+def _straightened(found: Solved, anchors: Anchors, posts: PostsSeen, field: ImageMap, least: float) -> Solved:
+    """Solutions that are no Gaussian in windows."""
+    poses, matched = found.readings.poses, found.readings.matched
+    count = (matched >= 0).sum(axis=1)
+    centre = (field.landmarks[matched] * (matched >= 0)[..., None]).sum(axis=1) / count[:, None]
+    by_distance = count == 1
+    away = poses[:, :2] - centre
+    distance = np.hypot(away[:, 0], away[:, 1])
+    direction = np.arctan2(away[:, 1], away[:, 0])
+    turned = np.where(by_distance, direction, direction + 0.5 * np.pi) - poses[:, 2]
+    unit = np.stack([np.cos(turned), np.sin(turned)], axis=-1)
+    spread = np.sqrt(np.einsum("ki,kij,kj->k", unit, found.covariances[:, :2, :2], unit)) / distance
+    likely = found.log_integrals - 0.5 * np.linalg.slogdet(2.0 * np.pi * found.covariances)[1] > least
+    bent = np.flatnonzero((spread > np.where(by_distance, _STRAIGHT_LOG_M, _STRAIGHT_RAD)) & likely)
+    if not len(bent):
+        return found
+    width = np.where(by_distance, _STRAIGHT_LOG_M, _STRAIGHT_RAD)
+    to_side = np.minimum(np.ceil(_SIGMAS * spread[bent] / (_APART * width[bent])), _MOST_WINDOWS)
+    step = np.arange(-_MOST_WINDOWS, _MOST_WINDOWS + 1)
+    row, column = np.nonzero(np.abs(step) <= to_side[:, None])
+    row = bent[row]
+    shift = _APART * width[row] * step[column]
+    at = found.readings.take(row)
+    near = np.where(by_distance[row], np.exp(shift), 1.0)[:, None] * away[row]
+    turn = np.where(by_distance[row], 0.0, shift)
+    c, s = np.cos(turn), np.sin(turn)
+    at.poses[:, 0] = centre[row, 0] + c * near[:, 0] - s * near[:, 1]
+    at.poses[:, 1] = centre[row, 1] + s * near[:, 0] + c * near[:, 1]
+    at.poses[:, 2] += turn
+    middle = np.where(by_distance[row], np.log(distance[row]), direction[row]) + shift
+    windows = Windows(centre[row], middle, by_distance[row], width[row])
+    cut = solve(at, anchors, posts, field, _WINDOW_STEPS, windows)
+    cut.log_integrals[:] += np.log(_APART / np.sqrt(2.0 * np.pi))
+    cut.degrees[:] += 1
+    straight = np.ones(len(found), dtype=np.bool_)
+    straight[bent] = False
+    return found.take(straight).beside(cut)
+
+
+def _bent(found: Solved, field: ImageMap, none: int) -> Solved:
+    """With the covariance of what is left of the bend where posts alone are known, second moment about the solution:
+    s along a circle of radius r is s^2 / 2r aside of its tangent."""
+    rows = np.flatnonzero(found.readings.anchors == none)
+    if not len(rows):
+        return found
+    matched = found.readings.matched[rows]
+    seen = (matched >= 0)[..., None]
+    away = (found.readings.poses[rows, None, :2] - field.landmarks[matched]) * seen
+    # a circle through two posts is at least as large as half the way to them
+    radius = 0.5 * np.sqrt((away**2).sum(axis=(1, 2)) / seen.sum(axis=(1, 2)))
+    values, vectors = np.linalg.eigh(found.covariances[rows, :2, :2])
+    aside = 0.75 * (values[:, 1] / radius) ** 2
+    across = vectors[:, :, 0]
+    found.covariances[rows, :2, :2] += aside[:, None, None] * across[:, :, None] * across[:, None, :]
+    return found
+
+
+def _possible(solved: Solved, anchors: Anchors, field: ImageMap) -> NDArray[np.bool_]:
     """Inside the field, where the lines are long enough, and no worse a fit than noise can make it."""
     poses, rows = solved.readings.poses, solved.readings.anchors
-    spread = 2.0 / (9.0 * np.maximum(solved.degrees, 1))  # Wilson and Hilferty, 1931
-    bound = np.maximum(solved.degrees, 1) * (1.0 - spread + _SIGMAS * np.sqrt(spread)) ** 3
-    at = np.sum(anchors.free[rows] * poses[:, :2], axis=-1)
+    degrees = np.maximum(solved.degrees, 1)
+    spread = 2.0 / (9.0 * degrees)  # Wilson and Hilferty, 1931
+    bound = degrees * (1.0 - spread + _SIGMAS * np.sqrt(spread)) ** 3
+    free, along = anchors.free[rows], anchors.along_m[rows]
+    at = free[:, 0] * poses[:, 0] + free[:, 1] * poses[:, 1]
     reach = _SIGMAS * np.sqrt(solved.covariances[:, 0, 0] + solved.covariances[:, 1, 1])
-    along = anchors.along_m[rows]
-    long_enough = ~anchors.free[rows].any(axis=1) | ((along[:, 0] - reach < at) & (at < along[:, 1] + reach))
-    return np.asarray(_inside(poses, field) & long_enough & (solved.misfit < bound) & np.isfinite(solved.log_integrals))
+    long_enough = (along[:, 0] - reach <= at) & (at <= along[:, 1] + reach)
+    return np.asarray(_inside(poses, field) & long_enough & (solved.misfit < bound))
 
 
-def _inside(poses: FloatArray, field: FieldMap) -> NDArray[np.bool_]:
-    low_x, low_y, high_x, high_y = field.bounds
-    x, y = poses[:, 0], poses[:, 1]
-    return np.asarray(
-        (x > low_x - _AROUND_M) & (x < high_x + _AROUND_M) & (y > low_y - _AROUND_M) & (y < high_y + _AROUND_M)
-    )
-
-
-def _nothing(posts: int) -> Solved:
-    none: IntArray = np.zeros(0, dtype=np.intp)
-    readings = Readings(none, np.zeros((0, posts), dtype=np.intp), np.zeros((0, 3)))
-    return Solved(readings, np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0), none)
+def _inside(poses: FloatArray, field: ImageMap) -> NDArray[np.bool_]:
+    xy = poses[:, :2]
+    return np.asarray(((xy > field.box[:2]) & (xy < field.box[2:])).all(axis=1))

@@ -10,15 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc import pose as se2
-from fieldloc.field import FieldMap
 from fieldloc.image_anchors import Anchors
+from fieldloc.image_map import ImageMap
 from fieldloc.image_posts import NUMBERS, PostsSeen
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _LONGEST_STEP = np.array([1.0, 1.0, 0.3])  # a linearisation is good for no more
-_WEAK = 1e-9  # information that no observation has: keeps free directions from being infinite
+_WEAK = np.diag([1e-9, 1e-9, 1e-9, 1.0, 1.0, 1.0, 1.0])  # of the mount's whitened errors; the pose is free but finite
+_ROWS = 4  # of an anchor and a window
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Which part of a bent likelihood is meant: where a polar coordinate of the robot about `centre` (k, 2), its
+    direction or, where by_distance (k,) is set, its log distance, is `middle` (k,) up to a standard deviation `width`.
+    """
+
+    centre: FloatArray
+    middle: FloatArray
+    by_distance: NDArray[np.bool_]
+    width: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +44,10 @@ class Readings:
 
     def __len__(self) -> int:
         return len(self.poses)
+
+    @staticmethod
+    def none(posts: int) -> "Readings":
+        return Readings(np.zeros(0, dtype=np.intp), np.zeros((0, posts), dtype=np.intp), np.zeros((0, 3)))
 
     def take(self, rows: IntArray | NDArray[np.bool_]) -> "Readings":
         return Readings(self.anchors[rows], self.matched[rows], self.poses[rows])
@@ -54,6 +71,9 @@ class Solved:
     misfit: FloatArray
     degrees: IntArray
 
+    def __len__(self) -> int:
+        return len(self.misfit)
+
     def take(self, rows: IntArray | NDArray[np.bool_]) -> "Solved":
         return Solved(
             self.readings.take(rows),
@@ -63,66 +83,109 @@ class Solved:
             self.degrees[rows],
         )
 
+    def beside(self, other: "Solved") -> "Solved":
+        return Solved(
+            self.readings.beside(other.readings),
+            np.concatenate([self.covariances, other.covariances]),
+            np.concatenate([self.log_integrals, other.log_integrals]),
+            np.concatenate([self.misfit, other.misfit]),
+            np.concatenate([self.degrees, other.degrees]),
+        )
 
-def solve(readings: Readings, anchors: Anchors, posts: PostsSeen, field: FieldMap, steps: int) -> Solved:
-    """Gauss-Newton from the readings' poses, of which the last step tells the rest."""
-    poses, count = readings.poses, len(readings)
+
+def solve(
+    readings: Readings, anchors: Anchors, posts: PostsSeen, field: ImageMap, steps: int, windows: Windows | None = None
+) -> Solved:
+    """So many steps of Gauss and Newton from the readings' poses; all else is as the last of them sees it."""
+    count, size = readings.matched.shape
+    rows, poses = readings.anchors, readings.poses
     is_matched = readings.matched >= 0
-    for _ in range(steps):
-        error, jacobian = anchors.linearised(readings.anchors, poses)
-        log_norm = anchors.log_norm[readings.anchors]
-        if len(posts):
-            error_p, jacobian_p, log_norm_p = _posts(readings.matched, is_matched, poses, posts, field)
-            error = np.concatenate([error, error_p], axis=1)
-            jacobian = np.concatenate([jacobian, jacobian_p], axis=1)
-            log_norm = log_norm + log_norm_p
-        back = np.swapaxes(jacobian, -1, -2)
-        information = back @ jacobian
-        information[:, range(3), range(3)] += _WEAK
-        information[:, range(3, 7), range(3, 7)] += 1.0
-        covariance = np.linalg.inv(information)
-        gradient = back @ error[:, :, None]
-        full_step = covariance @ gradient
-        misfit = (error * error).sum(axis=1) - (gradient * full_step).sum(axis=(1, 2))
-        step = np.clip(full_step[:, :3, 0], -_LONGEST_STEP, _LONGEST_STEP)
+    at, of_anchor = anchors.poses[rows], anchors.whitening[rows]
+    marks = field.landmarks[readings.matched] if size else np.zeros((count, 0, 2))
+    of_posts = posts.whitening_both * is_matched[..., None, None]
+    offset = posts.white_offset * is_matched[..., None]
+    error = np.zeros((count, _ROWS + NUMBERS * size))
+    jacobian = np.zeros((count, _ROWS + NUMBERS * size, 7))
+    error_p, jacobian_p = error[:, _ROWS:].reshape(count, size, -1), jacobian[:, _ROWS:].reshape(count, size, -1, 7)
+    jacobian[:, :3, 3:] = -anchors.by_mount[rows]
+    jacobian_p[..., 3:] = -posts.whitened_by_mount * is_matched[..., None, None]
+    by_mount = jacobian_p[..., 3:].copy()
+    log_norm = anchors.log_norm[rows] + is_matched @ posts.log_norm
+    log_survey = np.zeros(count)
+    for step in range(steps):
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        moved = np.empty_like(poses)
-        moved[:, 0] = poses[:, 0] - c * step[:, 0] + s * step[:, 1]
-        moved[:, 1] = poses[:, 1] - s * step[:, 0] - c * step[:, 1]
-        moved[:, 2] = se2.wrap(poses[:, 2] - step[:, 2])
+        _linearise_anchors(error, jacobian, of_anchor, at, poses)
+        if windows is not None:
+            _linearise_windows(error, jacobian, windows, poses, c, s)
+        if size:
+            value, slope = posts.predicted(poses[:, None], marks)
+            value -= posts.fused
+            value[..., 0] = se2.wrap(value[..., 0])
+            error_p[...] = (of_posts @ value[..., None])[..., 0] + offset
+            jacobian_p[..., :3] = of_posts @ slope
+            if field.surveyed is not None:
+                log_survey = _add_survey(error_p, jacobian_p, by_mount, field.surveyed[readings.matched], poses)
+                log_survey = np.where(is_matched, log_survey, 0.0).sum(axis=1)
+        back = np.ascontiguousarray(np.swapaxes(jacobian, 1, 2))
+        information = back @ jacobian + _WEAK
+        gradient = back @ error[:, :, None]
+        last = step == steps - 1
+        covariance = np.linalg.inv(information) if last else None
+        full_step = np.linalg.solve(information, gradient) if covariance is None else covariance @ gradient
+        move = np.clip(full_step[:, :3, 0], -_LONGEST_STEP, _LONGEST_STEP)
+        moved = poses - move
+        moved[:, 0] = poses[:, 0] - c * move[:, 0] + s * move[:, 1]
+        moved[:, 1] = poses[:, 1] - s * move[:, 0] - c * move[:, 1]
         poses = moved
+    assert covariance is not None
+    poses[:, 2] = se2.wrap(poses[:, 2])
+    misfit = (error * error).sum(axis=1) - (gradient * full_step).sum(axis=(1, 2))
     log_volume = 1.5 * _LOG_2PI - 0.5 * np.linalg.slogdet(information)[1]
-    numbers = is_matched @ (2 * posts.seen.sum(axis=1)) if len(posts) else np.zeros(count, dtype=np.intp)
-    degrees = numbers + anchors.rank[readings.anchors] - 3
-    log_integrals = anchors.log_weights[readings.anchors] + log_norm + log_volume - 0.5 * misfit
-    found = Readings(readings.anchors, readings.matched, poses)
+    degrees = is_matched @ (2 * posts.seen.sum(axis=1)) + anchors.rank[rows] - 3
+    log_integrals = anchors.log_weights[rows] + log_norm + log_survey + log_volume - 0.5 * misfit
     own = covariance[:, :3, :3]
+    found = Readings(rows, readings.matched, poses)
     return Solved(found, np.asarray(0.5 * (own + np.swapaxes(own, -1, -2))), log_integrals, misfit, degrees)
 
 
-def _posts(
-    matched: IntArray, is_matched: NDArray[np.bool_], poses: FloatArray, posts: PostsSeen, field: FieldMap
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened errors (k, 4 p) of matched posts, zero for others, Jacobians (k, 4 p, 7), log densities at zero (k,)."""
-    count, size = matched.shape
-    value, slope = posts.predicted(poses[:, None], field.positions[matched])
-    error = posts.errors(value)
-    whitening = np.broadcast_to(posts.whitening, (count, size, NUMBERS, NUMBERS))
-    by_mount, log_norm = posts.whitened_by_mount, posts.log_norm
-    jacobian = np.empty((count, size, NUMBERS, 7))
-    jacobian[..., :3] = whitening @ np.concatenate([slope, slope], axis=-2)
-    jacobian[..., 3:] = -by_mount
-    error = (whitening @ error[..., None])[..., 0]
-    if field.positions_covariance.any():
-        # Krotkov: the map is not exact either
-        turned = se2.rotation(poses[:, None, 2])
-        surveyed = np.swapaxes(turned, -1, -2) @ field.positions_covariance[matched] @ turned
-        to_position = jacobian[..., :2]
-        noise = np.eye(NUMBERS) + to_position @ surveyed @ np.swapaxes(to_position, -1, -2)
-        again = np.linalg.inv(np.linalg.cholesky(noise))
-        jacobian, error = again @ jacobian, (again @ error[..., None])[..., 0]
-        log_norm = log_norm + np.log(np.diagonal(again, axis1=-2, axis2=-1)).sum(axis=-1)
-    jacobian *= is_matched[..., None, None]
-    error = error * is_matched[..., None]
-    total = np.where(is_matched, log_norm, 0.0).sum(axis=1)
-    return error.reshape(count, -1), jacobian.reshape(count, -1, 7), total
+def _linearise_anchors(
+    error: FloatArray, jacobian: FloatArray, whitening: FloatArray, at: FloatArray, poses: FloatArray
+) -> None:
+    """Whitened errors and Jacobians of poses (k, 3) against anchors at (k, 3), into the first three rows."""
+    away = poses - at
+    turn = se2.wrap(away[:, 2])
+    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
+    local = np.empty_like(away)
+    local[:, 0], local[:, 1] = c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]
+    local[:, 2] = turn
+    error[:, :3] = (whitening @ local[:, :, None])[..., 0]
+    jacobian[:, :3, :3] = whitening @ se2.rotation3(turn)
+
+
+def _linearise_windows(
+    error: FloatArray, jacobian: FloatArray, windows: Windows, poses: FloatArray, c: FloatArray, s: FloatArray
+) -> None:
+    """The same of the windows, into the row behind the anchors'."""
+    away = poses[:, :2] - windows.centre
+    x, y = away[:, 0], away[:, 1]
+    far2 = np.maximum(x * x + y * y, 1e-6)
+    value = np.where(windows.by_distance, 0.5 * np.log(far2), np.arctan2(y, x)) - windows.middle
+    error[:, 3] = np.where(windows.by_distance, value, se2.wrap(value)) / windows.width
+    along = np.where(windows.by_distance, x, -y) / (far2 * windows.width)
+    across = np.where(windows.by_distance, y, x) / (far2 * windows.width)
+    jacobian[:, 3, 0], jacobian[:, 3, 1] = c * along + s * across, c * across - s * along
+
+
+def _add_survey(
+    error: FloatArray, jacobian: FloatArray, by_mount: FloatArray, surveyed: FloatArray, poses: FloatArray
+) -> FloatArray:
+    """Whiten (k, p, 4) errors once more for a map that is not exact either (Krotkov); log of what that does to the
+    density at zero (k, p)."""
+    turned = se2.rotation(poses[:, None, 2])
+    in_robot = np.swapaxes(turned, -1, -2) @ surveyed @ turned
+    to_position = jacobian[..., :2]
+    noise = np.eye(NUMBERS) + to_position @ in_robot @ np.swapaxes(to_position, -1, -2)
+    again = np.linalg.inv(np.linalg.cholesky(noise))
+    error[...] = (again @ error[..., None])[..., 0]
+    jacobian[..., :3], jacobian[..., 3:] = again @ jacobian[..., :3], again @ by_mount
+    return np.asarray(np.log(np.diagonal(again, axis1=-2, axis2=-1)).sum(axis=-1))
