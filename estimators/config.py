@@ -46,11 +46,28 @@ class Robust:
 
 @dataclass(frozen=True, slots=True)
 class Particles:
-    """count: particles. outlier_share: probability that a factor has nothing to do with the pose."""
+    """Monte Carlo localization.
 
-    count: int = 1000
+    count, max_count: particles at least, at most; in between as many as keep the Kullback-Leibler distance below
+    kld_error with the standard normal's kld_quantile, for bins of bin_m and bin_rad (Fox 2003). outlier_share:
+    probability that a plain factor has nothing to do with the pose. negligible: clusters with less of the weight are
+    given up. kidnaps_per_min: how often a robot is carried away unnoticed. alpha_slow, alpha_fast: of the long and the
+    short average of how well observations are explained; when the short one falls below the long one, that much more is
+    a kidnapping to be reckoned with (augmented MCL; 0 leaves it to the rate).
+    """
+
+    count: int = 500
+    max_count: int = 5000
     outlier_share: float = 0.02
     seed: int = 1
+    kld_error: float = 0.05
+    kld_quantile: float = 2.33
+    bin_m: float = 0.1
+    bin_rad: float = 0.1
+    negligible: float = 1e-4
+    kidnaps_per_min: float = 0.2
+    alpha_slow: float = 0.01
+    alpha_fast: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,12 @@ from estimators.base import Estimator
 from estimators.config import Config
 from estimators.dead_reckoning import DeadReckoning
 from estimators.ekf import Ekf
+from estimators.mixture import MixtureFilter
 from estimators.particles import ParticleFilter
 from estimators.smoother import Smoother
 
 ONLINE: Mapping[str, Callable[[Config], Estimator]] = MappingProxyType(
-    {"dead-reckoning": DeadReckoning, "ekf": Ekf, "particles": ParticleFilter}
+    {"dead-reckoning": DeadReckoning, "ekf": Ekf, "mixture": MixtureFilter, "particles": ParticleFilter}
 )
 SMOOTHERS: Mapping[str, Callable[[Config], Smoother]] = MappingProxyType({"smooth": Smoother})
 ALL: Mapping[str, Callable[[Config], Estimator]] = MappingProxyType({**ONLINE, **SMOOTHERS})

@@ -2,16 +2,16 @@ import filterpy.monte_carlo.resampling as filterpy_resampling
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from walks import FIELD, feed, nees, ns, scan, velocities, walk
+from walks import FIELD, TAKEN_AT_ITS_WORD, feed, nees, ns, scan, velocities, walk
 
 from estimators.base import Estimate
 from estimators.config import Config, MotionNoise, Particles, Robust
 from estimators.particles import ParticleFilter
+from estimators.particles.resampling import systematic
 from fieldloc import pose as se2
 from fieldloc.factor_builder import FactorBuilder
 from fieldloc.factors import HeadingFactor, LandmarkFactor, PoseFactor
 from fieldloc.measurements import Odometry
-from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
 
 ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0)
@@ -33,7 +33,7 @@ def test_without_turns_it_agrees_with_the_exact_answer_up_to_sampling() -> None:
     random = np.random.default_rng(0)
     off, spread = [], []
     for seed in range(runs):
-        config = Config(motion, Robust(nis_per_dof=1e9), Particles(count, outlier_share=0.0, seed=seed))
+        config = Config(motion, Robust(nis_per_dof=1e9), particles=Particles(count, outlier_share=0.0, seed=seed))
         cloud = ParticleFilter(config)
         cloud.start(Estimate(0, np.array([1.0, 2.0, heading]), start))
         x, p = np.array([1.0, 2.0]), start[:2, :2]
@@ -70,7 +70,7 @@ def test_a_single_landmark_bends_the_cloud_around_it() -> None:
     factor = LandmarkFactor(0, landmark, seen, noise)
     means, covariances = [], []
     for seed in range(10):
-        cloud = ParticleFilter(Config(particles=Particles(2000, outlier_share=0.0, seed=seed)))
+        cloud = ParticleFilter(Config(particles=Particles(4000, outlier_share=0.0, seed=seed)))
         cloud.update(PoseFactor(0, np.zeros(3), vague))
         cloud.update(factor)
         means.append(estimate_of(cloud).pose)
@@ -98,7 +98,7 @@ def test_however_sharp_a_factor_is_it_gets_its_share(sharpness: float) -> None:
     for seed in range(20):
         random = np.random.default_rng(seed)
         truth = random.multivariate_normal(np.zeros(3), 0.5 * vague)
-        cloud = ParticleFilter(Config(particles=Particles(seed=seed)))
+        cloud = ParticleFilter(Config(particles=Particles(1000, seed=seed)))
         cloud.update(PoseFactor(0, np.zeros(3), vague))
         cloud.update(PoseFactor(0, truth, sharp))
         estimate = estimate_of(cloud)
@@ -112,7 +112,8 @@ def test_however_sharp_a_factor_is_it_gets_its_share(sharpness: float) -> None:
 
 
 def test_a_robot_that_stands_still_keeps_a_living_cloud() -> None:
-    cloud = ParticleFilter(Config(MotionNoise(idle_m_per_sqrt_s=0.0, idle_rad_per_sqrt_s=0.0)))
+    still = MotionNoise(idle_m_per_sqrt_s=0.0, idle_rad_per_sqrt_s=0.0)
+    cloud = ParticleFilter(Config(still, particles=Particles(1000), calibration=TAKEN_AT_ITS_WORD))
     cloud.update(PoseFactor(0, np.zeros(3), SMALL))
     random = np.random.default_rng(0)
     for k in range(50):
@@ -122,7 +123,8 @@ def test_a_robot_that_stands_still_keeps_a_living_cloud() -> None:
     estimate = estimate_of(cloud)
     # 51 poses: the exact answer has a 51st of the variance; a fifth of it is what resampling may cost
     np.testing.assert_allclose(np.diag(estimate.covariance) / np.diag(SMALL) * 51, 1.0, atol=0.4)
-    assert len(np.unique(cloud._poses[:, 0])) > 500
+    assert cloud._cloud is not None
+    assert len(np.unique(cloud._cloud.poses[:, 0])) > 500
 
 
 def test_a_heading_beside_the_half_turn_keeps_its_spread() -> None:
@@ -158,21 +160,21 @@ def test_the_seed_of_the_configuration_matters() -> None:
     assert not np.array_equal(*ends)
 
 
-def test_resampling_is_filterpys(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[FloatArray] = []
-    genuine = filterpy_resampling.systematic_resample
+def test_resampling_is_the_textbooks() -> None:
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        weights = random.dirichlet(np.full(200, 0.3))
+        seed = int(random.integers(1 << 30))
+        np.random.seed(seed)  # noqa: NPY002
+        start = np.random.random()  # noqa: NPY002
+        np.random.seed(seed)  # noqa: NPY002
+        expected = filterpy_resampling.systematic_resample(weights)
 
-    def watched(weights: FloatArray) -> FloatArray:
-        calls.append(weights.copy())
-        return np.asarray(genuine(weights))
+        class Fixed:
+            def random(self) -> float:
+                return start  # noqa: B023
 
-    monkeypatch.setattr("estimators.particles.systematic_resample", watched)
-    cloud = ParticleFilter(Config())
-    cloud.update(PoseFactor(0, np.zeros(3), SMALL))
-    cloud.update(PoseFactor(0, np.zeros(3), SMALL / 9))
-    assert calls
-    assert all(weights.sum() == pytest.approx(1.0) for weights in calls)
-    assert all(1.0 / (weights @ weights) < 500 for weights in calls)  # no sooner than half the cloud is spent
+        np.testing.assert_array_equal(systematic(weights, 200, Fixed()), expected)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("at_s", [pytest.param(10.0, marks=pytest.mark.slow), 5.5])
