@@ -11,48 +11,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.fixes.line_map import TurnedGrid
-from fieldloc.fixes.line_matching import GATE_SIGMAS, HASH, LineMatcher, Matches
+from fieldloc.fixes.line_matching import GATE_SIGMAS, HASH, Matches
 from fieldloc.fixes.lines import GroundLines
 from fieldloc.pose import FloatArray
 
 _LOG_2_PI = float(np.log(2.0 * np.pi))
-
-
-@dataclass(frozen=True, slots=True)
-class LineProblem:
-    """Lines against a map that knows where its lines are up to a standard deviation."""
-
-    lines: GroundLines
-    grid: TurnedGrid
-    tolerance_m: float
-    covariance: FloatArray
-    pixel_covariance: FloatArray
-    matcher: LineMatcher
-
-    @staticmethod
-    def of(
-        lines: GroundLines, grid: TurnedGrid, tolerance_m: float, sigma_map_m: float, unexplained: int
-    ) -> "LineProblem":
-        covariance, pixels = lines.covariance, lines.pixel_covariance
-        if sigma_map_m > 0.0:
-            own = np.diag([0.0, *[sigma_map_m**2] * len(lines.families)])
-            covariance, pixels = covariance + own, pixels + own
-        matcher = LineMatcher(lines, covariance, grid, tolerance_m, unexplained)
-        return LineProblem(lines, grid, tolerance_m, covariance, pixels, matcher)
+_LOW_AND_HIGH = np.array([-1.0, 1.0])[:, None, None]
 
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """Assignments (k, n) whose lines fit together, as Matches, with the best states (k, c): c of (x, y, heading).
+    """Assignments as Matches whose lines fit together, with the best states (k, c): c of (x, y, heading).
 
-    covariances: (k, c, c) of them, of which pixel_covariances are from the pixels and the map alone, and by_mount
-    (k, c, 4) is their change with the mount.
+    pattern: (k,) which lines are explained decides about the rows of covariances (p, c, c) of the states, of which
+    pixel_covariances are from the pixels and the map alone, and of by_mount (p, c, 4), their change with the mount.
     log_peaks: (k,) log density of the lines at the state; log_weights: of its integral over all states.
     """
 
     turns: NDArray[np.intp]
     columns: NDArray[np.intp]
     states: FloatArray
+    pattern: NDArray[np.intp]
     covariances: FloatArray
     pixel_covariances: FloatArray
     by_mount: FloatArray
@@ -60,73 +39,84 @@ class Solved:
     log_weights: FloatArray
 
 
-def solve(problem: LineProblem, matches: Matches, states: tuple[int, ...]) -> Solved:
+def solve(
+    lines: GroundLines, grid: TurnedGrid, sigma_map_m: float, matches: Matches, states: tuple[int, ...]
+) -> Solved:
     """Weighted least squares for those of (x, y, heading) in `states`."""
-    lines = problem.lines
+    count, families = len(lines.families), lines.families
     explained = matches.columns >= 0
-    of_pattern, pattern = _patterns(explained)
-    used = np.ones((len(of_pattern), 1 + len(lines.families)), dtype=np.bool_)
-    used[:, 1:] = explained[of_pattern]
-    model = np.zeros((used.shape[1], 3))
+    first, pattern = _patterns(explained)
+    used = np.ones((len(first), 1 + count), dtype=np.bool_)
+    used[:, 1:] = explained[first]
+    model = np.zeros((1 + count, 3))
     model[0, 2] = -1.0
-    model[np.arange(1, len(model)), 1 - lines.families] = -1.0
-    model = model[:, list(states)]
+    model[range(1, 1 + count), 1 - families] = -1.0
+    model = model[:, states]
     # a line that is left out gets a row and column of the unit matrix, and then no say
     both = used[:, :, None] & used[:, None, :]
-    noise = np.where(both, problem.covariance, np.eye(used.shape[1]))
-    weight = np.where(both, np.linalg.inv(noise), 0.0)
-    information = model.T @ weight @ model
+    noise = np.where(both, with_map_noise(lines.covariance, sigma_map_m), np.eye(1 + count))
+    weight = np.linalg.inv(noise) * both
+    to_model = model.T @ weight
+    information = to_model @ model
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    gain = covariance @ model.T @ weight
-    log_norm = -0.5 * (np.linalg.slogdet(noise)[1] + _LOG_2_PI * used.sum(axis=1))
-    log_room = 0.5 * (_LOG_2_PI * len(states) - np.linalg.slogdet(information)[1])
-    bound = _chi_square_bound(used.sum(axis=1) - len(states))
+    gain = covariance @ to_model
+    explaining = used.sum(axis=1)
+    log_norm = -0.5 * (np.linalg.slogdet(noise)[1] + _LOG_2_PI * explaining)
+    log_room = 0.5 * (_LOG_2_PI * len(states) - np.log(np.linalg.det(information)))
+    bound = _chi_square_bound(explaining - len(states))
 
-    on_map = problem.grid.offsets_m[matches.turns[:, None], lines.families, matches.columns]
-    target = np.empty((len(pattern), used.shape[1]))
+    on_map = grid.offsets_m[matches.turns[:, None], families, matches.columns]
+    target = np.empty((len(pattern), 1 + count))
     target[:, 0] = lines.bearing_rad
-    target[:, 1:] = np.where(explained, lines.distances_m - on_map, 0.0)
+    target[:, 1:] = (lines.distances_m - on_map) * explained
     found = (gain[pattern] @ target[:, :, None])[..., 0]
     residual = target - found @ model.T
-    misfit = np.einsum("ki,kij,kj->k", residual, weight[pattern], residual)
-    fits = np.flatnonzero(misfit <= bound[pattern])
-    pattern = pattern[fits]
-    pixel = gain @ problem.pixel_covariance @ np.swapaxes(gain, 1, 2)
-    log_peaks = log_norm[pattern] - 0.5 * misfit[fits]
+    misfit = ((weight[pattern] @ residual[:, :, None])[..., 0] * residual).sum(axis=1)
+    log_peaks = log_norm[pattern] - 0.5 * misfit
+    log_peaks[misfit > bound[pattern]] = -np.inf
+    pixel = gain @ with_map_noise(lines.pixel_covariance, sigma_map_m) @ gain.swapaxes(1, 2)
     return Solved(
-        matches.turns[fits],
-        matches.columns[fits],
-        found[fits],
-        covariance[pattern],
-        pixel[pattern],
-        (gain @ lines.by_mount)[pattern],
+        matches.turns,
+        matches.columns,
+        found,
+        pattern,
+        covariance,
+        np.asarray(pixel, dtype=np.float64),
+        gain @ lines.by_mount,
         log_peaks,
         log_peaks + log_room[pattern],
     )
 
 
-def log_ends_fit(problem: LineProblem, found: Solved) -> FloatArray:
+def log_ends_fit(lines: GroundLines, grid: TurnedGrid, tolerance_m: float, found: Solved) -> FloatArray:
     """(k,) how much rarer whole poses are as seen ends stand out over the map's; -inf beyond what noise can do."""
-    lines, grid, families = problem.lines, problem.grid, problem.lines.families
-    place = found.turns[:, None], families, found.columns
-    # family 0 runs along x, family 1 along y
-    along = found.states[:, families]
-    ends = grid.middles_m[place][..., None] + grid.halves_m[place][..., None] * np.array([-1.0, 1.0])
-    beyond = (lines.extents_m + along[..., None] - ends) * np.array([-1.0, 1.0]) - problem.tolerance_m
-    variance = lines.extents_sigma_m**2 + found.covariances[:, families, families][..., None]
-    squared = np.where(found.columns[..., None] >= 0, np.maximum(beyond, 0.0) ** 2 / variance, 0.0)
-    worst = squared.max(axis=(1, 2), initial=0.0)
-    return np.where(worst <= GATE_SIGMAS**2, -0.5 * squared.sum(axis=(1, 2)), -np.inf)
+    families, place = lines.families, (found.turns[:, None], lines.families, found.columns)
+    # family 0 runs along x, family 1 along y: by how much the middle is off, and by how much either end sticks out
+    off = 0.5 * lines.extents_m.sum(axis=1) + found.states[:, families] - grid.middles_m[place]
+    half = 0.5 * (lines.extents_m[:, 1] - lines.extents_m[:, 0])
+    beyond = half - grid.halves_m[place] + off * _LOW_AND_HIGH - tolerance_m
+    own = (lines.extents_sigma_m**2).T[:, None]
+    variance = own + found.covariances[:, families, families][found.pattern]
+    squared = np.square(np.maximum(beyond, 0.0)) / variance * (found.columns >= 0)
+    penalty = -0.5 * squared.sum(axis=(0, 2))
+    penalty[squared.max(axis=(0, 2), initial=0.0) > GATE_SIGMAS**2] = -np.inf
+    return np.asarray(penalty)
 
 
-def rows_of(problem: LineProblem, found: Solved) -> NDArray[np.intp]:
-    """(k, n) rows of the LineGrid, -1 for lines left unexplained."""
-    rows = problem.grid.rows[found.turns[:, None], problem.lines.families, found.columns]
-    return np.where(found.columns >= 0, rows, -1)
+def with_map_noise(covariance: FloatArray, sigma_map_m: float) -> FloatArray:
+    """(1 + n, 1 + n) of (bearing, distances) to lines that the map knows up to that standard deviation."""
+    if sigma_map_m == 0.0:
+        return covariance
+    out = covariance.copy()
+    index = np.arange(1, len(out))
+    out[index, index] += sigma_map_m**2
+    return out
 
 
 def _patterns(explained: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """One row for each pattern among the rows of (k, n), and the pattern (k,) of each row."""
+    if explained.all():
+        return np.arange(min(len(explained), 1)), np.zeros(len(explained), dtype=np.intp)
     code = explained @ HASH[np.arange(explained.shape[1]) % len(HASH)]
     _, first, pattern = np.unique(code, return_index=True, return_inverse=True)
     return first, pattern

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.field import FieldMap
-from fieldloc.pose import FloatArray, apply
+from fieldloc.pose import FloatArray, apply, rotation
 
 _PARALLEL_RAD = 1e-3
 _SAME_M = 1e-3
@@ -67,8 +67,10 @@ class TurnedGrid:
     offsets_m: (t, 2, m) that constant, by turn and family. middles_m, halves_m: (t, 2, m) of the extents in the other
     coordinate. rows: (t, 2, m) of the LineGrid. Beyond a family's lines stand ones that nothing matches.
     low_m, high_m: (t, 2) bounds of the lines' x and y.
-    twins: (r,) where each row goes when the grid is turned by a half turn about `centre_m` (2,), grid axes; None where
-    it is not the same then. With twins there are two turns only: the other two are their copies.
+    heading_rad: of the grid; cosines, sines: (t,) of its heading plus the turn. count: of the LineGrid's rows.
+    twins: (r + 1,) which row each becomes when the field is turned by a half turn about `centre_in_field_m` (2,), the
+    last being that of none, -1; None where the lines are not the same then. With twins there are two turns only: the
+    other two are their copies.
     """
 
     turns: NDArray[np.intp]
@@ -78,7 +80,11 @@ class TurnedGrid:
     rows: NDArray[np.intp]
     low_m: FloatArray
     high_m: FloatArray
-    centre_m: FloatArray
+    heading_rad: float
+    cosines: FloatArray
+    sines: FloatArray
+    count: int
+    centre_in_field_m: FloatArray
     twins: NDArray[np.intp] | None
 
 
@@ -107,7 +113,22 @@ def turned_grid(field_map: FieldMap) -> TurnedGrid:
             offsets[part] = turned[chosen][..., 1 - family].mean(axis=1)
             middles[part], halves[part] = along.mean(axis=1), 0.5 * np.ptp(along, axis=1)
             rows[part] = chosen
-    return TurnedGrid(turns, offsets, middles, halves, rows, lows, highs, centre, twins)
+    heading = 0.5 * np.pi * turns + grid.heading_rad
+    return TurnedGrid(
+        turns,
+        offsets,
+        middles,
+        halves,
+        rows,
+        lows,
+        highs,
+        grid.heading_rad,
+        np.cos(heading),
+        np.sin(heading),
+        len(ends),
+        rotation(grid.heading_rad) @ centre,
+        None if twins is None else np.append(twins, -1),
+    )
 
 
 def _ends(grid: LineGrid) -> FloatArray:

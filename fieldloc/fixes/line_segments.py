@@ -66,7 +66,7 @@ def usable_segments(
         return None
     ends = np.array([line.ends_px for line in observations], dtype=np.float64)
     noise = np.array([line.covariance_px2 for line in observations], dtype=np.float64)
-    good = np.isfinite(ends).all(axis=(1, 2)) & np.isfinite(noise).all(axis=(1, 2))
+    good = np.asarray(np.isfinite(ends).all(axis=(1, 2)) & np.isfinite(noise).all(axis=(1, 2)))
     rays, ray_to_pixel, exist = camera.ray_and_jacobian(ends)
     good &= exist.all(axis=1)
     good[good] = np.linalg.eigvalsh(noise[good])[:, 0] > 0
@@ -123,13 +123,12 @@ def agreeing(segments: LineSegments) -> tuple[NDArray[np.bool_], float]:
     modulo 90 degrees, in which a few lines that belong to neither family have no say.
     """
     bearing, covariance = segments.bearing_rad, segments.bearing_covariance
-    variance = np.diagonal(covariance)
+    variance = covariance.diagonal()
     difference = modulo_quarter(bearing[:, None] - bearing[None, :])
     # the pan, and most of the tilt between neighbours, cancels in a difference
     spread = variance[:, None] + variance[None, :] - 2 * covariance
     spread = np.maximum(spread, 1e-12 * variance[:, None])
-    squared = np.minimum(difference**2 / spread, _GATE_SIGMAS**2)
-    np.fill_diagonal(squared, 0.0)
+    squared = np.minimum(difference * difference / spread, _GATE_SIGMAS**2)
     best = int(np.lexsort((variance, squared.sum(axis=1).round(9)))[0])
     agree = squared[best] < _GATE_SIGMAS**2
     weighted = np.sum(np.exp(4j * bearing[agree]) / variance[agree])

@@ -20,16 +20,17 @@ from numpy.typing import NDArray
 
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
-from fieldloc.fixes.line_estimate import LineProblem, Solved, log_ends_fit, rows_of, solve
-from fieldloc.fixes.line_map import line_grid, turned_grid
+from fieldloc.fixes.line_estimate import Solved, log_ends_fit, solve, with_map_noise
+from fieldloc.fixes.line_map import turned_grid
+from fieldloc.fixes.line_matching import LineMatcher
 from fieldloc.fixes.lines import GroundLines
-from fieldloc.pose import FloatArray, rotation, rotation3, wrap
+from fieldloc.pose import FloatArray, rotation3, wrap
 from fieldloc.stacks import LineStack
 
 MOST = 64
 _LOG_CLUTTER = -math.log(2.0 * 20.0)  # of a line's direction and distance
 _LOG_BEARING = -math.log(0.5 * math.pi)  # modulo a quarter turn
-_LOG_NEGLIGIBLE = math.log(1e-3)  # against what the image is when nothing in it is right
+_LOG_NEGLIGIBLE = math.log(1e-5)  # against what the image is when nothing in it is right
 
 _IntArray = NDArray[np.intp]
 _Number = TypeVar("_Number", np.float64, np.intp)
@@ -84,34 +85,7 @@ def line_solutions(
     and a metre around it; of more than `most` the likeliest. A line that fits within two sigmas of the surest of its
     direction is not left unexplained. sigma_map_m: how well the map knows where its lines are.
     """
-    problem = line_problem(lines, field, max_unexplained, sigma_map_m)
-    found = solve(problem, problem.matcher.pairs(), (0, 1, 2))
-    log_ends = log_ends_fit(problem, found)
-    best, log_weights = _likeliest(problem, found, log_ends, detection, field, most)
-    grid, heading_rad = problem.grid, line_grid(field).heading_rad
-    turned = np.asarray(0.5 * np.pi * found.turns[best] + heading_rad, dtype=np.float64)
-    poses = found.states[best]
-    poses[:, :2] = (rotation(turned) @ poses[:, :2, None])[..., 0]
-    poses[:, 2] = wrap(poses[:, 2] + turned)
-    # in the turned grid the robot's heading is minus the bearing, up to the noise of that
-    to_robot = rotation3(lines.bearing_rad)
-    full = to_robot @ found.covariances[best] @ to_robot.T
-    pixel = to_robot @ found.pixel_covariances[best] @ to_robot.T
-    by_mount = to_robot @ found.by_mount[best]
-    matches = rows_of(problem, found)[best]
-    if grid.twins is None:
-        return LineSolutions(poses, full, pixel, by_mount, log_weights, matches)
-    there = poses.copy()
-    there[:, :2] = 2.0 * rotation(heading_rad) @ grid.centre_m - poses[:, :2]
-    there[:, 2] = wrap(poses[:, 2] + np.pi)
-    return LineSolutions(
-        _in_turn(poses, there),
-        _twice(full),
-        _twice(pixel),
-        _twice(by_mount),
-        _twice(log_weights),
-        _in_turn(matches, np.append(grid.twins, -1)[matches]),
-    )
+    return _Reader(lines, field, detection, max_unexplained, sigma_map_m, most).solutions()
 
 
 def line_constraints(
@@ -124,27 +98,15 @@ def line_constraints(
     most: int = MOST,
 ) -> LineConstraints:
     """What lines of one direction say, all of the other direction's left unexplained; bounds as in `line_solutions`."""
-    problem = line_problem(lines, field, max_unexplained, sigma_map_m)
-    first, second = (_constraints(problem, family, detection, field, most) for family in (0, 1))
-    if not len(first.log_weights) or not len(second.log_weights):
-        return first if len(first.log_weights) else second
-    s, t = first.stack, second.stack
-    stack = LineStack(
-        np.concatenate([s.heading_rad, t.heading_rad]),
-        np.concatenate([s.normal_rad, t.normal_rad]),
-        np.concatenate([s.offset_m, t.offset_m]),
-        np.concatenate([s.along_m, t.along_m]),
-        np.concatenate([s.covariances, t.covariances]),
-    )
-    log_weights = np.concatenate([first.log_weights, second.log_weights])
-    best = np.argsort(-log_weights, kind="stable")[:most]
-    return LineConstraints(
-        stack.take(best),
-        np.concatenate([first.pixel_covariances, second.pixel_covariances])[best],
-        np.concatenate([first.by_mount, second.by_mount])[best],
-        log_weights[best],
-        np.concatenate([first.matches, second.matches])[best],
-    )
+    return _Reader(lines, field, detection, max_unexplained, sigma_map_m, most).constraints()
+
+
+def line_readings(
+    lines: GroundLines, field: FieldMap, detection: Detection, max_unexplained: int | None = None
+) -> tuple[LineSolutions, LineConstraints]:
+    """Both of the above, for little more than one of them."""
+    reader = _Reader(lines, field, detection, max_unexplained, 0.0, MOST)
+    return reader.solutions(), reader.constraints()
 
 
 def log_clutter(lines: GroundLines) -> float:
@@ -157,69 +119,138 @@ def unexplained_of(count: int) -> int:
     return min(count - 1, 1 if count < 5 else 2)
 
 
-def line_problem(lines: GroundLines, field: FieldMap, max_unexplained: int | None, sigma_map_m: float) -> LineProblem:
-    spare = unexplained_of(len(lines.families)) if max_unexplained is None else max_unexplained
-    return LineProblem.of(lines, turned_grid(field), field.line_width_m, sigma_map_m, spare)
+class _Reader:
+    """One image's lines against a map."""
 
+    def __init__(
+        self,
+        lines: GroundLines,
+        field: FieldMap,
+        detection: Detection,
+        max_unexplained: int | None,
+        sigma_map_m: float,
+        most: int,
+    ) -> None:
+        count = len(lines.families)
+        self._lines, self._grid, self._sigma_map_m = lines, turned_grid(field), sigma_map_m
+        self._tolerance_m, self._most = field.line_width_m, most
+        spare = unexplained_of(count) if max_unexplained is None else max_unexplained
+        in_family = np.bincount(lines.families, minlength=2)
+        # of which direction lines must be explained, and whether those of the other may all be left
+        self._alone = [family for family in (0, 1) if in_family[family] and in_family[1 - family] <= spare]
+        self._both = bool(in_family.all())
+        covariance = with_map_noise(lines.covariance, sigma_map_m)
+        self._matcher = LineMatcher(lines, covariance, self._grid, self._tolerance_m, spare)
+        clutter = math.log(detection.clutter)
+        log_explained = math.log1p(-detection.clutter) - math.log(max(self._grid.count, 1))
+        self._log_prior = count * log_explained
+        self._log_unexplained = clutter + _LOG_CLUTTER - log_explained
+        self._log_least = log_clutter(lines) + math.log(detection.nothing_right) + _LOG_NEGLIGIBLE
 
-def _constraints(
-    problem: LineProblem, family: int, detection: Detection, field: FieldMap, most: int
-) -> LineConstraints:
-    """From lines of one family."""
-    grid, grid_heading_rad = problem.grid, line_grid(field).heading_rad
-    across = 1 - family  # family 0 says something about y, family 1 about x
-    found = solve(problem, problem.matcher.alone(family), (across, 2))
-    low, high = problem.matcher.room(found.turns, found.columns)
-    best, log_weights = _likeliest(problem, found, np.where(low < high, 0.0, -np.inf), detection, field, most)
-    offset_m, heading = found.states[best].T
-    low, high = low[best], high[best]
-    turned = np.asarray(0.5 * np.pi * found.turns[best] + grid_heading_rad, dtype=np.float64)
-    heading_rad, normal_rad = wrap(heading + turned), wrap(turned + 0.5 * np.pi * across)
-    along_m = np.stack([-high, -low] if across else [low, high], axis=-1)
-    flip = [1, 0]  # (heading, offset), as the stack's errors are
-    full, pixel = (a[best][:, flip][:, :, flip] for a in (found.covariances, found.pixel_covariances))
-    by_mount, matches = found.by_mount[best][:, flip], rows_of(problem, found)[best]
-    if grid.twins is None:
-        stack = LineStack(heading_rad, normal_rad, offset_m, along_m, full)
-        return LineConstraints(stack, pixel, by_mount, log_weights, matches)
-    # the half turn about the centre c takes (heading, normal, offset) to (heading + pi, normal + pi, offset - 2 n . c)
-    centre = rotation(grid_heading_rad) @ grid.centre_m
-    c, s = np.cos(normal_rad), np.sin(normal_rad)
-    twin_offset_m = offset_m - 2.0 * (c * centre[0] + s * centre[1])
-    twin_along_m = along_m - 2.0 * (c * centre[1] - s * centre[0])[:, None]
-    stack = LineStack(
-        _in_turn(heading_rad, wrap(heading_rad + np.pi)),
-        _in_turn(normal_rad, wrap(normal_rad + np.pi)),
-        _in_turn(offset_m, twin_offset_m),
-        _in_turn(along_m, twin_along_m),
-        _twice(full),
-    )
-    twins = np.append(grid.twins, -1)[matches]
-    return LineConstraints(stack, _twice(pixel), _twice(by_mount), _twice(log_weights), _in_turn(matches, twins))
+    def solutions(self) -> LineSolutions:
+        lines, grid = self._lines, self._grid
+        if not self._both:
+            none, matches = np.zeros((0, 3, 3)), np.zeros((0, len(lines.families)), dtype=np.intp)
+            return LineSolutions(np.zeros((0, 3)), none, none, np.zeros((0, 3, 4)), np.zeros(0), matches)
+        found = solve(lines, grid, self._sigma_map_m, self._matcher.pairs(), (0, 1, 2))
+        log_ends = log_ends_fit(lines, grid, self._tolerance_m, found)
+        best, log_weights, matches = self._likeliest(found, log_ends)
+        turns = found.turns[best]
+        c, s = grid.cosines[turns], grid.sines[turns]
+        x, y, heading = found.states[best].T
+        poses = np.empty((len(best), 3))
+        poses[:, 0], poses[:, 1] = c * x - s * y, s * x + c * y
+        poses[:, 2] = heading + 0.5 * np.pi * turns + grid.heading_rad
+        # in the turned grid the robot's heading is minus the bearing, up to the noise of that
+        to_robot = rotation3(lines.bearing_rad)
+        full = to_robot @ found.covariances @ to_robot.T
+        pixel = to_robot @ found.pixel_covariances @ to_robot.T
+        by_mount = to_robot @ found.by_mount
+        pattern = found.pattern[best]
+        if grid.twins is not None:
+            twins = -poses
+            twins[:, :2] += 2.0 * grid.centre_in_field_m
+            twins[:, 2] = poses[:, 2] + np.pi
+            poses, pattern = _in_turn(poses, twins), np.repeat(pattern, 2)
+        poses[:, 2] = wrap(poses[:, 2])
+        return LineSolutions(poses, full[pattern], pixel[pattern], by_mount[pattern], log_weights, matches)
 
+    def constraints(self) -> LineConstraints:
+        count = len(self._lines.families)
+        parts = [self._constraints(family) for family in self._alone]
+        if len(parts) == 1:
+            return parts[0]
+        if not parts:
+            none, covariance, by_mount = np.zeros(0), np.zeros((0, 2, 2)), np.zeros((0, 2, 4))
+            stack = LineStack(none, none, none, np.zeros((0, 2)), covariance)
+            return LineConstraints(stack, covariance, by_mount, none, np.zeros((0, count), dtype=np.intp))
+        s, t = (part.stack for part in parts)
+        stack = LineStack(
+            np.concatenate([s.heading_rad, t.heading_rad]),
+            np.concatenate([s.normal_rad, t.normal_rad]),
+            np.concatenate([s.offset_m, t.offset_m]),
+            np.concatenate([s.along_m, t.along_m]),
+            np.concatenate([s.covariances, t.covariances]),
+        )
+        log_weights = np.concatenate([part.log_weights for part in parts])
+        best = np.argsort(-log_weights, kind="stable")[: self._most]
+        return LineConstraints(
+            stack.take(best),
+            np.concatenate([part.pixel_covariances for part in parts])[best],
+            np.concatenate([part.by_mount for part in parts])[best],
+            log_weights[best],
+            np.concatenate([part.matches for part in parts])[best],
+        )
 
-def _likeliest(
-    problem: LineProblem, found: Solved, log_ends: FloatArray, detection: Detection, field: FieldMap, most: int
-) -> tuple[_IntArray, FloatArray]:
-    """The solutions to keep, best first, and their log weights.
+    def _constraints(self, family: int) -> LineConstraints:
+        """From lines of one family, of which 0 says something about y, 1 about x."""
+        lines, grid, across = self._lines, self._grid, 1 - family
+        found = solve(lines, grid, self._sigma_map_m, self._matcher.alone(family), (across, 2))
+        low, high = self._matcher.room(found.turns, found.columns)
+        best, log_weights, matches = self._likeliest(found, np.where(low < high, 0.0, -np.inf))
+        offset_m, heading_rad = found.states[best].T
+        turned: FloatArray = 0.5 * np.pi * found.turns[best].astype(np.float64) + grid.heading_rad
+        heading_rad = heading_rad + turned
+        normal_rad = turned + 0.5 * np.pi * across
+        low, high = low[best], high[best]
+        along_m = np.stack([-high, -low] if across else [low, high], axis=-1)
+        pattern = found.pattern[best]
+        if grid.twins is not None:
+            # the half turn about c takes (heading, normal n, offset) to (heading + pi, -n, offset - 2 n . c)
+            c, s = np.cos(normal_rad), np.sin(normal_rad)
+            x, y = grid.centre_in_field_m
+            heading_rad = _in_turn(heading_rad, heading_rad + np.pi)
+            normal_rad = _in_turn(normal_rad, normal_rad + np.pi)
+            offset_m = _in_turn(offset_m, offset_m - 2.0 * (c * x + s * y))
+            along_m = _in_turn(along_m, along_m - 2.0 * (c * y - s * x)[:, None])
+            pattern = np.repeat(pattern, 2)
+        # (heading, offset), as the stack's errors are
+        full, pixel = (a[:, ::-1, ::-1][pattern] for a in (found.covariances, found.pixel_covariances))
+        stack = LineStack(wrap(heading_rad), wrap(normal_rad), offset_m, along_m, full)
+        return LineConstraints(stack, pixel, found.by_mount[:, ::-1][pattern], log_weights, matches)
 
-    One that is nowhere more than a thousandth of what the image is when nothing in it is right changes nothing.
-    """
-    explained = np.sum(found.columns >= 0, axis=1)
-    unexplained = found.columns.shape[1] - explained
-    log_one = np.log1p(-detection.clutter) - np.log(max(len(line_grid(field).axes), 1))
-    log_prior = explained * log_one + unexplained * (np.log(detection.clutter) + _LOG_CLUTTER) + log_ends
-    log_peaks, log_weights = found.log_peaks + log_prior, found.log_weights + log_prior
-    least = log_clutter(problem.lines) + np.log(detection.nothing_right) + _LOG_NEGLIGIBLE
-    best = np.argsort(-log_weights, kind="stable")
-    best = best[log_peaks[best] >= least][: most if problem.grid.twins is None else most // 2]
-    return best, log_weights[best]
+    def _likeliest(self, found: Solved, log_ends: FloatArray) -> tuple[_IntArray, FloatArray, _IntArray]:
+        """Which to keep, best first; log weights and matches of those, with their twins behind them.
 
-
-def _twice(rows: FloatArray) -> FloatArray:
-    return np.repeat(rows, 2, axis=0)
+        One that is nowhere near what the image is when nothing in it is right changes nothing.
+        """
+        grid = self._grid
+        explained = found.columns >= 0
+        unexplained = explained.shape[1] - explained.sum(axis=1)
+        log_prior = self._log_prior + self._log_unexplained * unexplained + log_ends
+        kept = np.flatnonzero(found.log_peaks + log_prior >= self._log_least)
+        log_weights = (found.log_weights + log_prior)[kept]
+        order = np.argsort(-log_weights, kind="stable")[: self._most if grid.twins is None else self._most // 2]
+        best, log_weights = kept[order], log_weights[order]
+        rows = grid.rows[found.turns[best][:, None], self._lines.families, found.columns[best]]
+        matches = np.where(explained[best], rows, -1)
+        if grid.twins is None:
+            return best, log_weights, matches
+        return best, np.repeat(log_weights, 2), _in_turn(matches, grid.twins[matches])
 
 
 def _in_turn(rows: NDArray[_Number], twins: NDArray[_Number]) -> NDArray[_Number]:
     """(2k, ...): each row, and its twin behind it."""
-    return np.stack([rows, twins], axis=1).reshape(2 * len(rows), *rows.shape[1:])
+    out = np.empty((2 * len(rows), *rows.shape[1:]), dtype=rows.dtype)
+    out[::2], out[1::2] = rows, twins
+    return out

@@ -12,6 +12,7 @@ ground point itself. Its first part has unit length, so that no error can be mad
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from fieldloc.measurements import CameraMount, LineObservation
 from fieldloc.pose import FloatArray
 
 _ITERATIONS = 20
-_CONVERGED = 1e-8  # squared length of the last step, in sigmas; what is left after it is a hundredth of its length
+_CONVERGED = 1e-4  # squared length of the last step, in sigmas; what is left after it is a thousandth of a sigma
 _LONGEST_STEP_SIGMAS = 2.0  # of the mount, so that a false line cannot throw the camera away
 _MISFIT_SIGMAS = 3.5
 _OF_MOUNT = np.diag([0.0, 1.0, 1.0, 1.0, 1.0])  # information on (bearing, whitened errors of the mount) beforehand
@@ -66,7 +67,7 @@ def lines_on_the_ground(
         return None
     agree, bearing = agreeing(usable)
     segments = usable.only(agree)
-    root = _square_root(mount.covariance)
+    root = _square_root(np.asarray(mount.covariance, dtype=np.float64).tobytes())
     while len(segments.observed):
         fit = _fit(mount, root, segments, bearing)
         if fit.settled and fit.against.max() < _MISFIT_SIGMAS**2:
@@ -104,7 +105,7 @@ def _fit(mount: CameraMount, root: FloatArray, segments: LineSegments, bearing: 
         weighted = jacobian.T * weight
         gradient = weighted @ residual
         gradient[1:] += x[1:]
-        covariance = np.linalg.inv(weighted @ jacobian + _OF_MOUNT)
+        covariance = np.asarray(np.linalg.inv(weighted @ jacobian + _OF_MOUNT), dtype=np.float64)
         step = covariance @ gradient
         settled = bool(gradient @ step < _CONVERGED)
         x -= step * min(1.0, _LONGEST_STEP_SIGMAS / max(float(np.abs(step[1:]).max()), 1e-9))
@@ -126,7 +127,7 @@ def _fit(mount: CameraMount, root: FloatArray, segments: LineSegments, bearing: 
 
 
 def bearing_misfit(mount: CameraMount, segments: LineSegments, bearing_rad: float) -> tuple[FloatArray, FloatArray]:
-    """(n,) how far segments are turned from the bearing, modulo quarter turns; its change with pan, tilt, roll (n, 3)."""
+    """(n,) how far segments are turned from the bearing, modulo quarter turns; change with pan, tilt, roll (n, 3)."""
     upright = segments.normals @ robot_from_camera(mount).T
     level2 = upright[:, 0] ** 2 + upright[:, 1] ** 2
     bearing = np.arctan2(-upright[:, 0], upright[:, 1])
@@ -221,7 +222,8 @@ def _moved(mount: CameraMount, change: FloatArray) -> CameraMount:
     )
 
 
-def _square_root(covariance: FloatArray) -> FloatArray:
-    """L with L L^T = covariance; zeros in it (what is taken as exact) are welcome."""
-    values, vectors = np.linalg.eigh(covariance)
+@lru_cache(maxsize=64)
+def _square_root(covariance: bytes) -> FloatArray:
+    """L with L L^T = covariance (4, 4); zeros in it (what is taken as exact) are welcome."""
+    values, vectors = np.linalg.eigh(np.frombuffer(covariance, dtype=np.float64).reshape(4, 4))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
