@@ -2,9 +2,9 @@
 
 import sys
 
-from benchmarks import ambiguity, reading, writing
+from benchmarks import ambiguity, pareto, reading, writing
 
-BENCHMARKS = {"ambiguity": ambiguity, "reading": reading, "writing": writing}
+BENCHMARKS = {"ambiguity": ambiguity, "pareto": pareto, "reading": reading, "writing": writing}
 
 
 def main(arguments: list[str]) -> int:
