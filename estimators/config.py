@@ -76,11 +76,15 @@ class Mixture:
 
     max_hypotheses: more are never kept, twins under the map's symmetries not counted. prune_below: hypotheses less
     likely than this are dropped. kidnaps_per_min: how often a robot is carried away unnoticed.
+    evidence_share: what an observation says of hypotheses against each other counts this share of a full observation:
+    landmarks that stand beside their places on the map, ranges that are too long from everywhere, say the same wrong
+    thing again and again.
     whole_covariance: 1 makes the covariance of an estimate that of all hypotheses about it, 0 that of the best alone.
     """
 
     max_hypotheses: int = 64
-    prune_below: float = 1e-4
+    prune_below: float = 1e-5
+    evidence_share: float = 0.3
     kidnaps_per_min: float = 0.2
     whole_covariance: int = 0
 

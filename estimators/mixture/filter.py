@@ -117,6 +117,8 @@ class MixtureFilter:
         self.advance(mixture.stamp_ns)
         self._settle()
         children = Children.of(self._bank, self._sides, mixture)
+        if not mixture.by_compass:
+            children = children.tempered(self._config.mixture.evidence_share)
         solutions = mixture.solutions() if self._asks(children, mixture) else None
         missed = self._lost.missed(mixture, solutions)
         births = self._born(solutions or PoseSolutions.none(), mixture.symmetric)
@@ -238,7 +240,7 @@ class MixtureFilter:
         if len(bank) > 1:
             crowd = bank
             bank, into = merged(crowd, self._sides)
-            self._watch.merges(self._now_ns, crowd, into)
+            self._watch.merges(self._now_ns, crowd, into, self._lineage.tracks)
             bank = bank.take(np.arange(min(len(bank), settings.max_hypotheses)))
         left = total(bank.log_weights)
         bank = replace(bank, log_weights=bank.log_weights + (tracked - everything - left))
@@ -258,5 +260,13 @@ class MixtureFilter:
             self._watch.recovered(self._now_ns)
         if started or bank.found[row]:
             bank.found[:] = 0
+        if bank.log_weights.size == 1:
+            one = np.array([1.0 - np.exp(self._lost.total)])
+            self._watch.look(self._now_ns, one, self._last[None], self._lineage.tracks[0], 0.0)
+            return
         other = report.mirrored(self._last, bank, self._sides, float(np.exp(self._lost.total)))
-        self._watch.look(self._now_ns, np.exp(bank.log_weights), self._lineage.tracks, self._first, other)
+        order = np.argsort(-bank.log_weights, axis=None, kind="stable")
+        order = np.append(row * len(self._sides) + copy, order[order != row * len(self._sides) + copy])
+        poses = self._sides.unfold(bank.poses).reshape(-1, 3)[order]
+        weights, tracks = np.exp(bank.log_weights.ravel()[order]), self._lineage.tracks.ravel()[order]
+        self._watch.look(self._now_ns, weights, poses, tracks, other)

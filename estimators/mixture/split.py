@@ -59,16 +59,34 @@ class Children:
     log_weights: FloatArray
     blind_rows: IntArray
     blind_weights: FloatArray
+    before: FloatArray
 
     @staticmethod
     def of(bank: Bank, sides: Sides, mixture: MixtureFactor) -> "Children":
         if not len(bank):
             none = np.zeros((0, len(sides)))
-            return Children(_nothing(), _NOBODY, none, _NOBODY, none)
+            return Children(_nothing(), _NOBODY, none, _NOBODY, none, np.zeros(0))
         sight = Sight.of(bank, sides, mixture.symmetric, mixture.by_compass)
         seen = mixture.expand(sight.poses, sight.covariances)
         log_weights = sight.log_weights[seen.parent] + seen.evidence[:, None]
-        return Children(seen, sight.rows[seen.parent], log_weights, sight.rows, sight.log_weights + mixture.log_outlier)
+        blind = sight.log_weights + mixture.log_outlier
+        before = np.logaddexp.reduce(sight.log_weights, axis=1)
+        return Children(seen, sight.rows[seen.parent], log_weights, sight.rows, blind, before)
+
+    def tempered(self, share: float) -> "Children":
+        """What the observation says of hypotheses against each other counts only that share of a full observation, what
+        it says of the children of one in full."""
+        if len(self.before) < 2:
+            return self
+        after = np.full(len(self.before), -np.inf)
+        np.logaddexp.at(after, self.seen.parent, np.logaddexp.reduce(self.log_weights, axis=1))
+        after = np.logaddexp(after, np.logaddexp.reduce(self.blind_weights, axis=1))
+        evidence = after - self.before
+        evidence = np.where(np.isfinite(evidence), evidence, 0.0)
+        back = ((share - 1.0) * (evidence - evidence[np.argmax(after)]))[:, None]
+        return replace(
+            self, log_weights=self.log_weights + back[self.seen.parent], blind_weights=self.blind_weights + back
+        )
 
     @property
     def total(self) -> float:
@@ -127,7 +145,7 @@ def met(
         sight.covariances,
     )
     log_weights = sight.log_weights + seen.evidence[:, None]
-    children = Children(seen, sight.rows, log_weights, _NOBODY, np.zeros((0, len(sides))))
+    children = Children(seen, sight.rows, log_weights, _NOBODY, np.zeros((0, len(sides))), np.zeros(0))
     at = int(np.flatnonzero((sight.rows == first[0]) & (sight.copies == first[1]))[0])
     innovation = Innovation(factor.stamp_ns, residual[at], expected[at], float(nis[at]), float(weight[at]))
     log_unknown = -0.5 * (edge + np.linalg.slogdet(2.0 * np.pi * expected[at])[1])

@@ -1,14 +1,17 @@
-"""What befalls the hypotheses, as a few sentences."""
+"""What befalls the hypotheses, as a few sentences: of those only that differ by what a person would call a place."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.base import Event, EventKind
 from estimators.mixture.bank import Bank
+from estimators.mixture.sides import distance
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
-_MAJOR = 0.01
-_MINOR = 0.001  # one that was major is it no more
+_PLACE_M = 0.5
+_LIKELY = 0.05
+_GONE = 0.01
 _DECIDED = 0.99
 _OPEN = 0.9  # decided no more
 
@@ -18,35 +21,37 @@ class Watch:
 
     def __init__(self) -> None:
         self.events: list[Event] = []
-        self._major: set[int] = set()
+        self._known: set[int] = set()  # tracks of the places that were spoken of
         self._place_decided = self._side_decided = False
 
     def begin(self, stamp_ns: int, text: str) -> None:
         """After a start, told or found."""
         self._say(stamp_ns, "start", text)
 
+    def recovered(self, stamp_ns: int) -> None:
+        self._say(stamp_ns, "recovery", "the robot was carried: it was found elsewhere")
+
     def forget(self, decided: bool) -> None:
         """All that was known is no more. decided: now there is one place only."""
-        self._major = set()
+        self._known = set()
         self._place_decided = self._side_decided = decided
 
-    def merges(self, stamp_ns: int, before: Bank, into: IntArray) -> None:
-        """before: not yet merged; (h,) row of the merged bank in which each now is."""
-        parents, weights = before.parents, np.exp(before.totals)
-        major = (weights >= _MAJOR) & (parents >= 0)
-        families = {(row, parent) for row, parent in zip(into[major].tolist(), parents[major].tolist(), strict=True)}
+    def merges(self, stamp_ns: int, before: Bank, into: IntArray, tracks: IntArray) -> None:
+        """before: the hypotheses (h,) not yet merged; row of the merged bank in which each now is. tracks: of their
+        parents."""
+        if not self._known:
+            return
+        known = np.append(np.isin(tracks, list(self._known)).any(axis=1), False)
+        rows = np.flatnonzero(known[before.parents] & (before.totals >= np.log(_GONE)))
+        families = set(zip(into[rows].tolist(), before.parents[rows].tolist(), strict=True))
         if joined := len(families) - len({row for row, _ in families}):
-            self._say(stamp_ns, "merge", f"{joined + 1} hypotheses came together")
+            self._say(stamp_ns, "merge", f"{joined + 1} places have become one")
 
-    def look(self, stamp_ns: int, weights: FloatArray, tracks: IntArray, first: tuple[int, int], other: float) -> None:
-        """weights, tracks: (h, c). first: row and copy of the best. other: probability of the other sides."""
-        known = bool(self._major)
-        major = set(tracks[weights >= _MAJOR].tolist())
-        alive = major if len(weights) == 1 and weights.shape[1] == 1 else set(tracks[weights >= _MINOR].tolist())
-        if known and (new := major - self._major):
-            self._say(stamp_ns, "split", f"{len(new)} more to choose from: {len(major)} places are likely")
-        self._major = (self._major & alive) | major
-        place, side = float(weights[first]), 1.0 - other
+    def look(self, stamp_ns: int, weights: FloatArray, poses: FloatArray, tracks: IntArray, other: float) -> None:
+        """weights (n,), poses (n, 3) and tracks (n,) of all copies, the best one first. other: probability of the other
+        sides."""
+        place = float(weights[distance(poses, poses[0]) < _PLACE_M].sum())
+        side = 1.0 - other
         if place >= _DECIDED and not self._place_decided:
             self._say(stamp_ns, "decision", "one place is 99 % likely")
             self._place_decided = self._side_decided = True
@@ -55,9 +60,19 @@ class Watch:
             self._side_decided = True
         self._place_decided &= place >= _OPEN
         self._side_decided &= side >= _OPEN
+        self._split(stamp_ns, poses, tracks, weights)
 
-    def recovered(self, stamp_ns: int) -> None:
-        self._say(stamp_ns, "recovery", "the robot was carried: it was found elsewhere")
+    def _split(self, stamp_ns: int, poses: FloatArray, tracks: IntArray, weights: FloatArray) -> None:
+        alive = weights >= _GONE
+        known: NDArray[np.bool_] = np.isin(tracks, list(self._known)) & alive
+        before = int(known.sum())
+        for row in np.flatnonzero((weights >= _LIKELY) & ~known):
+            if (distance(poses[known], poses[row]) >= _PLACE_M).all():
+                known[row] = True
+        count = int(known.sum())
+        if before and count > before:
+            self._say(stamp_ns, "split", f"{before} places have become {count}")
+        self._known = set(tracks[known].tolist())
 
     def _say(self, stamp_ns: int, kind: EventKind, text: str) -> None:
         self.events.append(Event(stamp_ns, kind, text))
