@@ -18,7 +18,7 @@ from fieldloc.pose import FloatArray
 GATE_SIGMAS = 4.0
 AROUND_M = 1.0  # a robot can stand so far outside of the lines
 _SURE_SHARE = 0.5  # of the gate: a line nearer than that to a map line is never left unexplained
-_MOST_PAIRS = 4000  # beyond it the noise is as large as the gaps between the lines; then the best explained stay
+_MOST = 1000  # places, and matches: more come only of noise as large as the gaps between the lines; then the best stay
 HASH = np.random.default_rng(1).integers(1, 2**62, 64)  # sums of these, modulo 2^64, tell rows of numbers apart
 
 _IntArray = NDArray[np.intp]
@@ -86,8 +86,8 @@ class LineMatcher:
         both &= np.abs(self._at[x] - middle[y][:, None]) <= half[y][:, None] + self._reach[x]
         i, j = np.nonzero(both)
         y, x = y[i], x[j]
-        if len(y) > _MOST_PAIRS:
-            best = np.argsort(self._left_out[y] + self._left_out[x], kind="stable")[:_MOST_PAIRS]
+        if len(y) > _MOST:
+            best = np.argsort(self._left_out[y] + self._left_out[x], kind="stable")[:_MOST]
             y, x = y[best], x[best]
         turn, fits = self._turn[y], self._fits[y] + self._fits[x]
         # what was seen of a line says where the robot is in the other direction's coordinate
@@ -116,11 +116,18 @@ class LineMatcher:
         explained = fits.any(axis=2)
         enough = explained.sum(axis=1) >= len(tried) - self._unexplained
         turn, fits = turn[enough], fits[enough]
-        options = np.concatenate([fits > 0, (fits < 2).all(axis=2, keepdims=True)], axis=2)
+        quality = np.zeros((*fits.shape[:2], fits.shape[2] + 1), dtype=np.int8)
+        quality[:, :, :-1] = fits
+        options = quality > 0
+        options[:, :, -1] = (fits < 2).all(axis=2)
         columns = options.argmax(axis=2)
-        parent = np.arange(len(turn))
+        parent, total = np.arange(len(turn)), np.zeros(len(turn))
         for line in np.flatnonzero((options.sum(axis=2) > 1).any(axis=0)):
             row, column = np.nonzero(options[parent, line])
+            total = total[row] + quality[parent[row], line, column]
+            if len(row) > _MOST:
+                best = np.sort(np.argsort(-total, kind="stable")[:_MOST])
+                row, column, total = row[best], column[best], total[best]
             parent, columns = parent[row], columns[row]
             columns[:, line] = column
         columns[columns == fits.shape[2]] = -1
