@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
+_EDGE_RAD = 0.6173  # of one turn of a symmetry: where no field's lines run
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
@@ -20,8 +21,9 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 class Anchors:
     """poses: (a, 3). whitening: (a, 3, 3). by_mount: (a, 3, 4) change of the whitened error with the mount's whitened
     errors. log_weights: (a,) as of a SolutionMixture's stacks. log_norm: (a,) log density of the whitened noise at
-    zero. whole: (a,) whether it is a whole pose. along_m: (a, 2) how far the robot can be along the free direction from
-    the pose, which is `free` (a, 2) in field axes; log_clutter: of all lines if none is the map's."""
+    zero. whole: (a,) whether it is a whole pose. along_m: (a, 2) how far the robot can be along the free direction,
+    which is `free` (a, 2) in field axes, zero where there is none. covariances: (a, 3, 3) of whole poses in the robot
+    frame, with the mount's part; else of (heading, offset) and zeros. rank: (a,) of the whitening."""
 
     poses: FloatArray
     whitening: FloatArray
@@ -32,14 +34,10 @@ class Anchors:
     along_m: FloatArray
     free: FloatArray
     covariances: FloatArray
+    rank: IntArray
 
     def __len__(self) -> int:
         return len(self.poses)
-
-    @property
-    def rank(self) -> IntArray:
-        """(a,) how many of the three errors are white noise and not free."""
-        return np.asarray(self.whitening.any(axis=-1).sum(axis=-1), dtype=np.intp)
 
     def take(self, rows: IntArray | NDArray[np.bool_]) -> "Anchors":
         return Anchors(
@@ -52,7 +50,13 @@ class Anchors:
             self.along_m[rows],
             self.free[rows],
             self.covariances[rows],
+            self.rank[rows],
         )
+
+
+def one_turn(headings_rad: FloatArray, turn_rad: float) -> NDArray[np.bool_]:
+    """One each of headings that differ by whole turns of a symmetry."""
+    return np.asarray((headings_rad - _EDGE_RAD) % (2 * np.pi) < turn_rad)
 
 
 def nothing(log_weight: float) -> Anchors:
@@ -60,6 +64,7 @@ def nothing(log_weight: float) -> Anchors:
     return Anchors(
         np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3, 4)), np.full(1, log_weight), np.zeros(1),
         np.zeros(1, dtype=np.bool_), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 3, 3)),
+        np.zeros(1, dtype=np.intp),
     )  # fmt: skip
 
 
@@ -73,8 +78,9 @@ def whole_poses(
     moved = by_mount @ root
     covariances = pixel_covariances + moved @ np.swapaxes(moved, -1, -2)
     return Anchors(
-        poses, whitening, whitening @ moved, log_weights, log_norm, np.ones(count, dtype=np.bool_),
+        poses, whitening, -whitening @ moved, log_weights, log_norm, np.ones(count, dtype=np.bool_),
         np.zeros((count, 2)), np.zeros((count, 2)), covariances,
+        np.full(count, 3),
     )  # fmt: skip
 
 
@@ -101,16 +107,36 @@ def along_lines(
     design[:, 1, 0], design[:, 1, 1] = np.cos(between), np.sin(between)
     whitening, moved = np.zeros((count, 3, 3)), np.zeros((count, 3, 4))
     whitening[:, :2] = own @ design
-    moved[:, :2] = own @ by_mount @ root
+    moved[:, :2] = -own @ by_mount @ root
     log_norm = np.log(np.diagonal(own, axis1=1, axis2=2)).sum(axis=1) - _LOG_2PI
     full = by_mount @ root
     covariances = np.zeros((count, 3, 3))
     covariances[:, :2, :2] = pixel_covariances + full @ np.swapaxes(full, -1, -2)
     return Anchors(
-        poses, whitening, moved, log_weights, log_norm, np.zeros(count, dtype=np.bool_), along_m, free, covariances
+        poses,
+        whitening,
+        moved,
+        log_weights,
+        log_norm,
+        np.zeros(count, dtype=np.bool_),
+        along_m,
+        free,
+        covariances,
+        np.full(count, 2),
     )
 
 
 def joined(parts: list[Anchors]) -> Anchors:
-    names = ("poses", "whitening", "by_mount", "log_weights", "log_norm", "whole", "along_m", "free", "covariances")
+    names = (
+        "poses",
+        "whitening",
+        "by_mount",
+        "log_weights",
+        "log_norm",
+        "whole",
+        "along_m",
+        "free",
+        "covariances",
+        "rank",
+    )
     return Anchors(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

@@ -2,29 +2,34 @@
 
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
-from fieldloc.fixes.line_solutions import line_constraints, line_solutions
+from fieldloc.fixes.line_solutions import line_readings
 from fieldloc.fixes.lines import GroundLines
-from fieldloc.image_anchors import Anchors, along_lines, joined, whole_poses
+from fieldloc.image_anchors import Anchors, along_lines, joined, one_turn, whole_poses
 from fieldloc.pose import FloatArray
 
 
-def line_anchors(lines: GroundLines, field: FieldMap, detection: Detection, root: FloatArray) -> Anchors:
-    """All whole poses, and all that lines of one direction say if those of the other are none of the map's."""
-    whole = line_solutions(lines, field, detection)
-    single = line_constraints(lines, field, detection)
-    stack = single.stack
+def line_anchors(
+    lines: GroundLines, field: FieldMap, detection: Detection, root: FloatArray, turn_rad: float
+) -> Anchors:
+    """All whole poses, and all that lines of one direction say if those of the other are none of the map's; with
+    headings within one turn only."""
+    whole, single = line_readings(lines, field, detection)
+    rows = one_turn(whole.poses[:, 2], turn_rad)
+    stack, others = single.stack, one_turn(single.stack.heading_rad, turn_rad)
     return joined(
         [
-            whole_poses(whole.poses, whole.pixel_covariances, whole.by_mount, root, whole.log_weights),
+            whole_poses(
+                whole.poses[rows], whole.pixel_covariances[rows], whole.by_mount[rows], root, whole.log_weights[rows]
+            ),
             along_lines(
-                stack.heading_rad,
-                stack.normal_rad,
-                stack.offset_m,
-                stack.along_m,
-                single.pixel_covariances,
-                single.by_mount,
+                stack.heading_rad[others],
+                stack.normal_rad[others],
+                stack.offset_m[others],
+                stack.along_m[others],
+                single.pixel_covariances[others],
+                single.by_mount[others],
                 root,
-                single.log_weights,
+                single.log_weights[others],
             ),
         ]
     )

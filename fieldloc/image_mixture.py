@@ -12,7 +12,7 @@ from fieldloc.image_anchors import Anchors, joined, nothing
 from fieldloc.image_lines import line_anchors
 from fieldloc.image_map import ImageMap, image_map
 from fieldloc.image_posts import PostsSeen, posts_seen
-from fieldloc.image_readings import one_turn, read
+from fieldloc.image_readings import read
 from fieldloc.measurements import ImageFeatures
 from fieldloc.mixture import IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
@@ -21,6 +21,7 @@ from fieldloc.stacks import FactorStack, LandmarkStack, LineStack, PoseStack
 from fieldloc.visibility import in_clear_sight
 
 _LOG_NEGLIGIBLE = float(np.log(1e-3))  # against the outlier, where a solution is likeliest
+_MOST_FALSE_LINES = 2  # beside posts that are right, where lines can be the map's
 _UNSURE_DISTANCE = 0.3  # relative: beyond it a single post's distance is no Gaussian any more
 
 
@@ -45,8 +46,10 @@ def image_mixture(
     turn_rad = 2 * np.pi / (1 + len(symmetries))
     anchors = nothing(of_lines + count * float(np.log(detection.clutter)))
     if lines is not None:
-        found = line_anchors(lines, field, detection, root)
-        anchors = joined([found.take(one_turn(found.poses[:, 2], turn_rad)), anchors])
+        found = line_anchors(lines, field, detection, root, turn_rad)
+        if len(found) and count > _MOST_FALSE_LINES:
+            anchors = nothing(-np.inf)
+        anchors = joined([found, anchors])
     anchors.log_weights[:] += base
 
     solved = read(anchors, posts, image_field, turn_rad, least)

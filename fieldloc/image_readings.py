@@ -11,9 +11,8 @@ a line of sight), it is cut into windows that are straight enough, each a soluti
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldloc.image_anchors import Anchors
+from fieldloc.image_anchors import Anchors, one_turn
 from fieldloc.image_map import ImageMap
 from fieldloc.image_posts import PostsSeen, seen_together
 from fieldloc.image_states import Readings, Solved, Windows, solve
@@ -27,7 +26,6 @@ _LEAST_ANGLE_RAD = 1e-3
 _LARGEST_LOG_RATIO = 3.0  # of two posts' distances
 _SEED_STEPS = 2
 _WINDOW_STEPS = 4
-_EDGE_RAD = 0.6173  # of one turn of a symmetry: where no field's lines run
 _STRAIGHT_LOG_M = 0.15  # standard deviation of a log distance up to which a likelihood is a Gaussian
 _STRAIGHT_RAD = 0.08  # the same of the direction from two posts
 _APART = 2.0  # windows, in their width: then their sum is flat to a hundredth
@@ -42,35 +40,32 @@ def read(anchors: Anchors, posts: PostsSeen, field: ImageMap, turn_rad: float, l
     """
     whole = _of_lines(anchors, len(posts))
     if not len(posts):
-        return whole.take(_inside(whole.readings.poses, field))
+        return whole
     seeds = _along_lines(anchors, posts, field).beside(_pairs(anchors, posts, field))
     seeds = seeds.take(one_turn(seeds.poses[:, 2], turn_rad))
     base = whole
     if len(seeds):
         found = solve(seeds, anchors, posts, field, _SEED_STEPS)
-        found = found.take(_possible(found, anchors, field))
+        found = found.take(found.log_integrals > -np.inf)
         base = whole.beside(found)
     more = _with_more_posts(base, posts, field)
-    out = base
     if len(base) > len(whole):
-        out = whole.beside(_bent(_straightened(found, anchors, posts, field, least), field, len(anchors) - 1))
-    if len(more):
-        out = out.beside(solve(more, anchors, posts, field, 1))
-    log_peak = out.log_integrals - 0.5 * np.linalg.slogdet(2.0 * np.pi * out.covariances)[1]
-    return out.take(_possible(out, anchors, field) & (log_peak > least))
+        straight = _straightened(found, anchors, posts, field, least)
+        base = whole.beside(_bent(straight, field, len(anchors) - 1))
+    out = base.beside(solve(more, anchors, posts, field, 1)) if len(more) else base
+    return out.take(_log_peaks(out) > least)
 
 
-def one_turn(headings_rad: FloatArray, turn_rad: float) -> NDArray[np.bool_]:
-    """One each of headings that differ by whole turns of a symmetry."""
-    return np.asarray((headings_rad - _EDGE_RAD) % (2 * np.pi) < turn_rad)
+def _log_peaks(solved: Solved) -> FloatArray:
+    """(k,) log density of each at its own pose."""
+    return np.asarray(solved.log_integrals - 0.5 * np.linalg.slogdet(2.0 * np.pi * solved.covariances)[1])
 
 
 def _of_lines(anchors: Anchors, posts: int) -> Solved:
     """Whole poses of lines, with no post matched."""
     rows = np.flatnonzero(anchors.whole)
     readings = Readings(rows, np.full((len(rows), posts), -1, dtype=np.intp), anchors.poses[rows])
-    covariances, zeros = anchors.covariances[rows], np.zeros(len(rows))
-    return Solved(readings, covariances, anchors.log_weights[rows], zeros, zeros.astype(np.intp))
+    return Solved(readings, anchors.covariances[rows], anchors.log_weights[rows])
 
 
 def _along_lines(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Readings:
@@ -102,7 +97,7 @@ def _along_lines(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Reading
     inverse = (by_line * own_variance + own * line_variance) / (own_variance + line_variance)
     distance = 1.0 / np.maximum(inverse, 1.0 / _FARTHEST_M)
     poses = np.stack([x - distance * sight_x, y - distance * sight_y, at[:, 2]], axis=-1)
-    kept = np.flatnonzero(agree & _inside(poses, field))
+    kept = np.flatnonzero(agree)
     matched = np.full((len(kept), len(posts)), -1, dtype=np.intp)
     matched[np.arange(len(kept)), post[kept]] = mark[kept]
     return Readings(index[kept], matched, poses[kept])
@@ -115,7 +110,7 @@ def _pairs(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Readings:
     explain the distances best, which are two where the robot is aside of the posts to either hand.
     """
     count = len(posts)
-    if count < 2:
+    if count < 2 or anchors.log_weights[-1] == -np.inf:
         return Readings.none(count)
     i, j = np.array(list(combinations(range(count), 2))).T
     together, covariance = seen_together(posts, i, j)
@@ -144,15 +139,15 @@ def _pairs(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Readings:
     matched = np.full((len(row), count), -1, dtype=np.intp)
     each = np.arange(len(row))
     matched[each, i[pair[row]]], matched[each, j[pair[row]]] = one[row], other[row]
-    found = Readings(np.full(len(row), len(anchors) - 1), matched, poses)
-    return found.take(_inside(poses, field))
+    return Readings(np.full(len(row), len(anchors) - 1), matched, poses)
 
 
 def _with_more_posts(base: Solved, posts: PostsSeen, field: ImageMap) -> Readings:
     """The readings with further posts that stand where they should from the pose; each set of posts once."""
     every = base.readings
-    value, slope = posts.predicted(every.poses[:, None], field.landmarks)
-    error = value[:, None] - posts.fused[:, None]
+    predicted = posts.predicted(every.poses[:, None], field.landmarks)
+    slope = predicted[..., :3]
+    error = predicted[:, None, :, :, 3] - posts.fused[:, None]
     x, y = wrap(error[..., 0]), error[..., 1]
     # twice the sum, as the mount's errors are in both
     spread = (slope @ base.covariances[:, None] @ np.swapaxes(slope, -1, -2))[:, None] + posts.fused_covariance[:, None]
@@ -184,7 +179,7 @@ def _straightened(found: Solved, anchors: Anchors, posts: PostsSeen, field: Imag
     turned = np.where(by_distance, direction, direction + 0.5 * np.pi) - poses[:, 2]
     unit = np.stack([np.cos(turned), np.sin(turned)], axis=-1)
     spread = np.sqrt(np.einsum("ki,kij,kj->k", unit, found.covariances[:, :2, :2], unit)) / distance
-    likely = found.log_integrals - 0.5 * np.linalg.slogdet(2.0 * np.pi * found.covariances)[1] > least
+    likely = _log_peaks(found) > least
     bent = np.flatnonzero((spread > np.where(by_distance, _STRAIGHT_LOG_M, _STRAIGHT_RAD)) & likely)
     if not len(bent):
         return found
@@ -205,7 +200,6 @@ def _straightened(found: Solved, anchors: Anchors, posts: PostsSeen, field: Imag
     windows = Windows(centre[row], middle, by_distance[row], width[row])
     cut = solve(at, anchors, posts, field, _WINDOW_STEPS, windows)
     cut.log_integrals[:] += np.log(_APART / np.sqrt(2.0 * np.pi))
-    cut.degrees[:] += 1
     straight = np.ones(len(found), dtype=np.bool_)
     straight[bent] = False
     return found.take(straight).beside(cut)
@@ -227,21 +221,3 @@ def _bent(found: Solved, field: ImageMap, none: int) -> Solved:
     across = vectors[:, :, 0]
     found.covariances[rows, :2, :2] += aside[:, None, None] * across[:, :, None] * across[:, None, :]
     return found
-
-
-def _possible(solved: Solved, anchors: Anchors, field: ImageMap) -> NDArray[np.bool_]:
-    """Inside the field, where the lines are long enough, and no worse a fit than noise can make it."""
-    poses, rows = solved.readings.poses, solved.readings.anchors
-    degrees = np.maximum(solved.degrees, 1)
-    spread = 2.0 / (9.0 * degrees)  # Wilson and Hilferty, 1931
-    bound = degrees * (1.0 - spread + _SIGMAS * np.sqrt(spread)) ** 3
-    free, along = anchors.free[rows], anchors.along_m[rows]
-    at = free[:, 0] * poses[:, 0] + free[:, 1] * poses[:, 1]
-    reach = _SIGMAS * np.sqrt(solved.covariances[:, 0, 0] + solved.covariances[:, 1, 1])
-    long_enough = (along[:, 0] - reach <= at) & (at <= along[:, 1] + reach)
-    return np.asarray(_inside(poses, field) & long_enough & (solved.misfit < bound))
-
-
-def _inside(poses: FloatArray, field: ImageMap) -> NDArray[np.bool_]:
-    xy = poses[:, :2]
-    return np.asarray(((xy > field.box[:2]) & (xy < field.box[2:])).all(axis=1))

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from fieldloc import pose as se2
 from fieldloc.image_anchors import Anchors
 from fieldloc.image_map import ImageMap
-from fieldloc.image_posts import NUMBERS, PostsSeen
+from fieldloc.image_post_numbers import NUMBERS
+from fieldloc.image_posts import PostsSeen
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _LONGEST_STEP = np.array([1.0, 1.0, 0.3])  # a linearisation is good for no more
 _WEAK = np.diag([1e-9, 1e-9, 1e-9, 1.0, 1.0, 1.0, 1.0])  # of the mount's whitened errors; the pose is free but finite
+_SIGMAS = 4.0  # by how much a misfit may exceed its mean, as a normal variable does by as many sigmas
 _ROWS = 4  # of an anchor and a window
 
 
@@ -63,129 +65,140 @@ class Readings:
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
     """Readings at their best poses. covariances: (k, 3, 3) robot frame. log_integrals: (k,) of the density of all that
-    is matched over poses and mount errors, the anchor's weight included. misfit: (k,) chi-square of `degrees` (k,)."""
+    is matched over poses and mount errors, the anchor's weight included; -inf for what geometry rules out."""
 
     readings: Readings
     covariances: FloatArray
     log_integrals: FloatArray
-    misfit: FloatArray
-    degrees: IntArray
 
     def __len__(self) -> int:
-        return len(self.misfit)
+        return len(self.log_integrals)
 
     def take(self, rows: IntArray | NDArray[np.bool_]) -> "Solved":
-        return Solved(
-            self.readings.take(rows),
-            self.covariances[rows],
-            self.log_integrals[rows],
-            self.misfit[rows],
-            self.degrees[rows],
-        )
+        return Solved(self.readings.take(rows), self.covariances[rows], self.log_integrals[rows])
 
     def beside(self, other: "Solved") -> "Solved":
         return Solved(
             self.readings.beside(other.readings),
             np.concatenate([self.covariances, other.covariances]),
             np.concatenate([self.log_integrals, other.log_integrals]),
-            np.concatenate([self.misfit, other.misfit]),
-            np.concatenate([self.degrees, other.degrees]),
         )
 
 
 def solve(
     readings: Readings, anchors: Anchors, posts: PostsSeen, field: ImageMap, steps: int, windows: Windows | None = None
 ) -> Solved:
-    """So many steps of Gauss and Newton from the readings' poses; all else is as the last of them sees it."""
+    """So many steps of Gauss and Newton from the readings' poses; all else is as the last of them sees it.
+
+    Ruled out is what fits worse than noise can make it, beside the field, or where the lines are not long enough.
+    """
     count, size = readings.matched.shape
     rows, poses = readings.anchors, readings.poses
     is_matched = readings.matched >= 0
+    in_use = is_matched[..., None, None]
     at, of_anchor = anchors.poses[rows], anchors.whitening[rows]
-    marks = field.landmarks[readings.matched] if size else np.zeros((count, 0, 2))
-    of_posts = posts.whitening_both * is_matched[..., None, None]
+    marks = field.landmarks[readings.matched]
+    of_posts = posts.whitening_both * in_use
     offset = posts.white_offset * is_matched[..., None]
-    error = np.zeros((count, _ROWS + NUMBERS * size))
-    jacobian = np.zeros((count, _ROWS + NUMBERS * size, 7))
-    error_p, jacobian_p = error[:, _ROWS:].reshape(count, size, -1), jacobian[:, _ROWS:].reshape(count, size, -1, 7)
-    jacobian[:, :3, 3:] = -anchors.by_mount[rows]
-    jacobian_p[..., 3:] = -posts.whitened_by_mount * is_matched[..., None, None]
-    by_mount = jacobian_p[..., 3:].copy()
-    log_norm = anchors.log_norm[rows] + is_matched @ posts.log_norm
-    log_survey = np.zeros(count)
-    for step in range(steps):
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        _linearise_anchors(error, jacobian, of_anchor, at, poses)
+    # Jacobian by pose and mount, and the error last
+    model = np.zeros((count, _ROWS + NUMBERS * size, 8))
+    of_lines, by_posts = model[:, :3], model[:, _ROWS:].reshape(count, size, NUMBERS, 8)
+    of_lines[..., 3:7] = anchors.by_mount[rows]
+    by_posts[..., 3:7] = posts.whitened_by_mount * in_use
+    log_norm = anchors.log_weights[rows] + anchors.log_norm[rows] + is_matched @ posts.log_norm
+    for _ in range(steps):
+        _linearise_anchors(of_lines, of_anchor, at, poses)
         if windows is not None:
-            _linearise_windows(error, jacobian, windows, poses, c, s)
+            _linearise_windows(model[:, 3], windows, poses)
         if size:
-            value, slope = posts.predicted(poses[:, None], marks)
-            value -= posts.fused
-            value[..., 0] = se2.wrap(value[..., 0])
-            error_p[...] = (of_posts @ value[..., None])[..., 0] + offset
-            jacobian_p[..., :3] = of_posts @ slope
-            if field.surveyed is not None:
-                log_survey = _add_survey(error_p, jacobian_p, by_mount, field.surveyed[readings.matched], poses)
-                log_survey = np.where(is_matched, log_survey, 0.0).sum(axis=1)
-        back = np.ascontiguousarray(np.swapaxes(jacobian, 1, 2))
-        information = back @ jacobian + _WEAK
-        gradient = back @ error[:, :, None]
-        last = step == steps - 1
-        covariance = np.linalg.inv(information) if last else None
-        full_step = np.linalg.solve(information, gradient) if covariance is None else covariance @ gradient
-        move = np.clip(full_step[:, :3, 0], -_LONGEST_STEP, _LONGEST_STEP)
-        moved = poses - move
-        moved[:, 0] = poses[:, 0] - c * move[:, 0] + s * move[:, 1]
-        moved[:, 1] = poses[:, 1] - s * move[:, 0] - c * move[:, 1]
-        poses = moved
-    assert covariance is not None
-    poses[:, 2] = se2.wrap(poses[:, 2])
-    misfit = (error * error).sum(axis=1) - (gradient * full_step).sum(axis=(1, 2))
+            predicted = posts.predicted(poses[:, None], marks)
+            predicted[..., 3] -= posts.fused
+            predicted[..., 0, 3] = se2.wrap(predicted[..., 0, 3])
+            white = of_posts @ predicted
+            by_posts[..., :3], by_posts[..., 7] = white[..., :3], white[..., 3] + offset
+        log_survey = np.zeros(count)
+        whole = model
+        if field.surveyed is not None:
+            whole = model.copy()
+            surveyed = field.surveyed[readings.matched]
+            log_survey = _add_survey(whole[:, _ROWS:].reshape(by_posts.shape), surveyed, poses)
+        squares = np.ascontiguousarray(np.swapaxes(whole, 1, 2)) @ whole
+        information, gradient = squares[:, :7, :7] + _WEAK, squares[:, :7, 7:]
+        covariance = np.linalg.inv(information)
+        step = (covariance @ gradient)[..., 0]
+        poses = _moved(poses, step[:, :3])
+    misfit = squares[:, 7, 7] - (gradient[..., 0] * step).sum(axis=1)
     log_volume = 1.5 * _LOG_2PI - 0.5 * np.linalg.slogdet(information)[1]
-    degrees = is_matched @ (2 * posts.seen.sum(axis=1)) + anchors.rank[rows] - 3
-    log_integrals = anchors.log_weights[rows] + log_norm + log_survey + log_volume - 0.5 * misfit
-    own = covariance[:, :3, :3]
-    found = Readings(rows, readings.matched, poses)
-    return Solved(found, np.asarray(0.5 * (own + np.swapaxes(own, -1, -2))), log_integrals, misfit, degrees)
+    degrees = np.maximum(is_matched @ posts.numbers + anchors.rank[rows] - 3 + (windows is not None), 1)
+    spread = 2.0 / (9.0 * degrees)  # Wilson and Hilferty, 1931
+    possible = misfit < degrees * (1.0 - spread + _SIGMAS * np.sqrt(spread)) ** 3
+    covariances = covariance[:, :3, :3]
+    possible &= _inside(poses, field) & _long_enough(poses, covariances, anchors.free[rows], anchors.along_m[rows])
+    log_integrals = np.where(possible, log_norm + log_survey + log_volume - 0.5 * misfit, -np.inf)
+    return Solved(Readings(rows, readings.matched, poses), covariances, log_integrals)
 
 
-def _linearise_anchors(
-    error: FloatArray, jacobian: FloatArray, whitening: FloatArray, at: FloatArray, poses: FloatArray
-) -> None:
-    """Whitened errors and Jacobians of poses (k, 3) against anchors at (k, 3), into the first three rows."""
+def _linearise_anchors(model: FloatArray, whitening: FloatArray, at: FloatArray, poses: FloatArray) -> None:
+    """Whitened errors and Jacobians of poses (k, 3) against anchors at (k, 3), into (k, 3, 8)."""
+    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
     away = poses - at
     turn = se2.wrap(away[:, 2])
-    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
-    local = np.empty_like(away)
-    local[:, 0], local[:, 1] = c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]
-    local[:, 2] = turn
-    error[:, :3] = (whitening @ local[:, :, None])[..., 0]
-    jacobian[:, :3, :3] = whitening @ se2.rotation3(turn)
+    turned = np.zeros((len(at), 3, 4))
+    turned[:, 0, 0] = turned[:, 1, 1] = np.cos(turn)
+    turned[:, 1, 0] = np.sin(turn)
+    turned[:, 0, 1] = -turned[:, 1, 0]
+    turned[:, 2, 2] = 1.0
+    turned[:, 0, 3], turned[:, 1, 3] = c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]
+    turned[:, 2, 3] = turn
+    white = whitening @ turned
+    model[..., :3], model[..., 7] = white[..., :3], white[..., 3]
 
 
-def _linearise_windows(
-    error: FloatArray, jacobian: FloatArray, windows: Windows, poses: FloatArray, c: FloatArray, s: FloatArray
-) -> None:
-    """The same of the windows, into the row behind the anchors'."""
+def _linearise_windows(model: FloatArray, windows: Windows, poses: FloatArray) -> None:
+    """The same of the windows, into (k, 8)."""
     away = poses[:, :2] - windows.centre
     x, y = away[:, 0], away[:, 1]
     far2 = np.maximum(x * x + y * y, 1e-6)
     value = np.where(windows.by_distance, 0.5 * np.log(far2), np.arctan2(y, x)) - windows.middle
-    error[:, 3] = np.where(windows.by_distance, value, se2.wrap(value)) / windows.width
+    model[:, 7] = np.where(windows.by_distance, value, se2.wrap(value)) / windows.width
     along = np.where(windows.by_distance, x, -y) / (far2 * windows.width)
     across = np.where(windows.by_distance, y, x) / (far2 * windows.width)
-    jacobian[:, 3, 0], jacobian[:, 3, 1] = c * along + s * across, c * across - s * along
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    model[:, 0], model[:, 1] = c * along + s * across, c * across - s * along
 
 
-def _add_survey(
-    error: FloatArray, jacobian: FloatArray, by_mount: FloatArray, surveyed: FloatArray, poses: FloatArray
-) -> FloatArray:
-    """Whiten (k, p, 4) errors once more for a map that is not exact either (Krotkov); log of what that does to the
-    density at zero (k, p)."""
+def _add_survey(by_posts: FloatArray, surveyed: FloatArray, poses: FloatArray) -> FloatArray:
+    """Whiten (k, p, 4, 8) once more for a map that is not exact either (Krotkov); log of what that does to the density
+    at zero (k,)."""
     turned = se2.rotation(poses[:, None, 2])
     in_robot = np.swapaxes(turned, -1, -2) @ surveyed @ turned
-    to_position = jacobian[..., :2]
+    to_position = by_posts[..., :2]
     noise = np.eye(NUMBERS) + to_position @ in_robot @ np.swapaxes(to_position, -1, -2)
     again = np.linalg.inv(np.linalg.cholesky(noise))
-    error[...] = (again @ error[..., None])[..., 0]
-    jacobian[..., :3], jacobian[..., 3:] = again @ jacobian[..., :3], again @ by_mount
-    return np.asarray(np.log(np.diagonal(again, axis1=-2, axis2=-1)).sum(axis=-1))
+    by_posts[...] = again @ by_posts
+    return np.asarray(np.log(np.diagonal(again, axis1=-2, axis2=-1)).sum(axis=(1, 2)))
+
+
+def _moved(poses: FloatArray, step: FloatArray) -> FloatArray:
+    """Poses less a tangent step, no longer than a linearisation is good for."""
+    x, y, turn = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP).T
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    out = np.empty_like(poses)
+    out[:, 0], out[:, 1] = poses[:, 0] - c * x + s * y, poses[:, 1] - s * x - c * y
+    out[:, 2] = se2.wrap(poses[:, 2] - turn)
+    return out
+
+
+def _inside(poses: FloatArray, field: ImageMap) -> NDArray[np.bool_]:
+    xy = poses[:, :2]
+    return np.asarray(((xy > field.box[:2]) & (xy < field.box[2:])).all(axis=1))
+
+
+def _long_enough(
+    poses: FloatArray, covariances: FloatArray, free: FloatArray, along_m: FloatArray
+) -> NDArray[np.bool_]:
+    """Whether the lines of one direction are long enough to be seen from there; true of others, which are nowhere
+    free."""
+    at = free[:, 0] * poses[:, 0] + free[:, 1] * poses[:, 1]
+    reach = _SIGMAS * np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
+    return np.asarray((along_m[:, 0] - reach <= at) & (at <= along_m[:, 1] + reach))
