@@ -58,11 +58,10 @@ class ScanMixture:
         to_sensor = se2.adjoint(se2.inverse(self.scan.robot_from_sensor))
         at = se2.compose(poses, self.scan.robot_from_sensor)
         spread = to_sensor @ covariances @ to_sensor.T
-        near = self.model.near(at, spread)
-        wider = self.model.widening(near)
-        found = assign(self.model, self.model.pairs(near, at, wider), spread)
+        pairs = self.model.pairs(at, spread)
+        found = assign(self.model, pairs, spread)
         found = found.take(np.flatnonzero((found.matches >= 0).any(axis=1)))
-        seen = quadratics(self.model, found, at, spread, wider)
+        seen = quadratics(self.model, found, at, spread, pairs.wider)
         best = np.full(len(poses), -np.inf)
         np.maximum.at(best, seen.parent, seen.evidence)
         keep = np.flatnonzero(seen.evidence > best[seen.parent] - _FORGOTTEN)
@@ -111,8 +110,7 @@ class ScanMixture:
         """Map indices of what was seen, by the likeliest explanation for a robot at the pose (3,)."""
         at = se2.compose(pose, self.scan.robot_from_sensor)[None]
         exactly = np.zeros((1, 3, 3))
-        near = self.model.near(at, exactly)
-        found = assign(self.model, self.model.pairs(near, at, np.ones_like(self.scan.range_bearing)), exactly)
+        found = assign(self.model, self.model.pairs(at, exactly), exactly)
         matches = found.matches[np.argmax(found.score)]
         return tuple(matches[matches >= 0].tolist())
 

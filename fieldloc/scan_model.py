@@ -3,6 +3,7 @@
 Arrays over poses (h), observations (n) and landmarks of the map (m). A tangent is that of the sensor's pose.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -23,18 +24,24 @@ _NEAREST_M = 1e-6  # on the landmark any direction will do
 class Pairs(NamedTuple):
     """Observations and landmarks that may belong together, in order of pose and observation, (k,) each.
 
-    error (k, 2), jacobian (k, 2, 3), covariance (k, 2, 2): landmark less where it was seen, metres, sensor's frame.
-    log_peak: density of range and bearing without an error, relative to clutter, by the covariance that is not widened,
-    and divided by that of the error here: minus half a log determinant of the error's, and it is a density again.
+    x, y: where the landmark is, sensor's frame; ex, ey: less where it was seen, metres; xx, xy, yy: covariance of that,
+    widened. log_peak: log density of range and bearing without an error, relative to clutter and by the covariance that
+    is not widened, plus half the log determinant of (xx, xy, yy): less that of the whole error's, it is a density again.
+    wider: (n, 2) by how much it is widened, None for not at all.
     """
 
     pose: IntArray
     row: IntArray
     landmark: IntArray
-    error: FloatArray
-    jacobian: FloatArray
-    covariance: FloatArray
+    x: FloatArray
+    y: FloatArray
+    ex: FloatArray
+    ey: FloatArray
+    xx: FloatArray
+    xy: FloatArray
+    yy: FloatArray
     log_peak: FloatArray
+    wider: FloatArray | None
 
 
 class Terms(NamedTuple):
@@ -68,61 +75,63 @@ class ScanModel:
     log_clutter: FloatArray
     wider: FloatArray
 
-    def near(self, poses: FloatArray, covariances: FloatArray) -> BoolArray:
-        """(h, n, m): what may be what for robots about the poses (h, 3), by errors that are not widened."""
+    def pairs(self, poses: FloatArray, covariances: FloatArray) -> Pairs:
+        """What may be what for robots at poses (h, 3) up to covariances (h, 3, 3), by errors that are not widened."""
         x, y = self._landmarks_from(poses)
         pxx, pxy, pxh, pyy, pyh, phh = _upper(covariances[:, None])
-        xx = pxx - 2.0 * y * pxh + y * y * phh
+        xx = pxx + y * (y * phh - 2.0 * pxh)
         xy = pxy - y * pyh + x * pxh - x * y * phh
-        yy = pyy + 2.0 * x * pyh + x * x * phh
+        yy = pyy + x * (x * phh + 2.0 * pyh)
         if self.survey is not None:
             sxx, sxy, syy = _turned(self.survey, poses[:, 2:])
             xx, xy, yy = xx + sxx, xy + sxy, yy + syy
-        seen, along, across, mixed = self._points
-        ex, ey = x[:, None] - seen[:, :1], y[:, None] - seen[:, 1:]
-        # a bearing's error counts by the true range where the seen one fell short
-        far = np.maximum(np.hypot(x, y)[:, None], self.range_bearing[:, :1])
+        seen_x, seen_y, r, rr, bb = self._seen[:5, :, None]
+        # first in a circle as wide as the widest axis at most; a bearing's error counts by the farther of both ranges
+        far2 = np.maximum((x * x + y * y)[:, None], r * r)
+        apart2 = (x[:, None] - seen_x) ** 2 + (y[:, None] - seen_y) ** 2
+        near = (apart2 < GATE * ((xx + yy)[:, None] + rr + far2 * bb)) & self.may
+        pose, row, landmark = np.nonzero(near)
+        x, y, xx, xy, yy = np.stack([x, y, xx, xy, yy])[:, pose, landmark]
+        seen = self._seen[:, row]
+        ex, ey = x - seen[0], y - seen[1]
+        far = np.sqrt(far2[pose, row, landmark])
         far2 = far * far
-        xx = xx[:, None] + along[0] + far * mixed[0] + far2 * across[0]
-        xy = xy[:, None] + along[1] + far * mixed[1] + far2 * across[1]
-        yy = yy[:, None] + along[2] + far * mixed[2] + far2 * across[2]
-        return np.asarray((yy * ex - 2.0 * xy * ey) * ex + xx * ey * ey < GATE * (xx * yy - xy * xy)) & self.may
+        xx = xx + seen[5] + far * seen[11] + far2 * seen[8]
+        xy = xy + seen[6] + far * seen[12] + far2 * seen[9]
+        yy = yy + seen[7] + far * seen[13] + far2 * seen[10]
+        keep = (yy * ex - 2.0 * xy * ey) * ex + xx * ey * ey < GATE * (xx * yy - xy * xy)
+        if not keep.all():
+            pose, row, landmark, seen = pose[keep], row[keep], landmark[keep], seen[:, keep]
+            x, y, ex, ey = x[keep], y[keep], ex[keep], ey[keep]
+        wider = self.widening(row, landmark)
+        r = seen[2]
+        survey = (0.0, 0.0, 0.0) if self.survey is None else _turned(self.survey[landmark], poses[pose, 2])
+        plain = [seen[5 + k] + r * (seen[11 + k] + r * seen[8 + k]) + survey[k] for k in range(3)]
+        log_peak = (self.log_match - self.log_clutter - _LOG_TWO_PI)[row] + np.log(r)
+        widened = plain
+        if wider is not None:
+            by_range, by_bearing = wider[row].T
+            both = np.sqrt(by_range * by_bearing)
+            widened = [
+                by_range * seen[5 + k] + r * (both * seen[11 + k] + r * by_bearing * seen[8 + k]) + survey[k]
+                for k in range(3)
+            ]
+            log_peak -= 0.5 * np.log(_determinant(plain) / _determinant(widened))
+        return Pairs(pose, row, landmark, x, y, ex, ey, *widened, log_peak, wider)
 
-    def widening(self, near: BoolArray) -> FloatArray:
-        """(n, 2) by how much to widen what was seen: as the longest known of the landmarks that it may be from here.
+    def widening(self, row: IntArray, landmark: IntArray) -> FloatArray | None:
+        """(n, 2) by how much to widen what was seen: as the longest known of the landmarks that it may be from there;
+        None where all is news.
 
         The same for all poses, or those would win by and by that see with an error what the robot is not known to see.
         """
-        return np.asarray(np.where(np.any(near, axis=0)[..., None], self.wider, 1.0).max(axis=1, initial=1.0))
+        if not self._repeats:
+            return None
+        out = np.ones((len(self.range_bearing), 2))
+        np.maximum.at(out, row, self.wider[landmark])
+        return out
 
-    def pairs(self, near: BoolArray, poses: FloatArray, wider: FloatArray) -> Pairs:
-        """Of (h, n, m), straight about the poses."""
-        pose, row, landmark = np.nonzero(near)
-        x, y = (part[pose, landmark] for part in self._landmarks_from(poses))
-        seen, along, across, mixed = self._points
-        r = self.range_bearing[row, 0]
-        error = np.stack([x - seen[row, 0], y - seen[row, 1]], axis=-1)
-        jacobian = np.zeros((len(row), 2, 3))
-        jacobian[:, 0, 0] = jacobian[:, 1, 1] = -1.0
-        jacobian[:, 0, 2], jacobian[:, 1, 2] = y, -x
-        by_range, by_bearing = wider[row].T
-        both = np.sqrt(by_range * by_bearing)
-        plain, widened = [], []
-        survey = (np.zeros(1),) * 3 if self.survey is None else _turned(self.survey[landmark], poses[pose, 2])
-        for k in range(3):
-            a, c, b = along[k][row, 0], r * mixed[k][row, 0], r * r * across[k][row, 0]
-            plain.append(a + b + c + survey[k])
-            widened.append(by_range * a + by_bearing * b + both * c + survey[k])
-        covariance = np.empty((len(row), 2, 2))
-        covariance[:, 0, 0], covariance[:, 1, 1] = widened[0], widened[2]
-        covariance[:, 0, 1] = covariance[:, 1, 0] = widened[1]
-        log_peak = (self.log_match - self.log_clutter)[row] - _LOG_TWO_PI + np.log(r)
-        log_peak -= 0.5 * np.log(
-            (plain[0] * plain[2] - plain[1] ** 2) / (widened[0] * widened[2] - widened[1] * widened[1])
-        )
-        return Pairs(pose, row, landmark, error, jacobian, covariance, log_peak)
-
-    def terms(self, poses: FloatArray, matches: IntArray, wider: FloatArray) -> Terms:
+    def terms(self, poses: FloatArray, matches: IntArray, wider: FloatArray | None) -> Terms:
         """matches: (c, n) landmark of each observation, -1 for none, seen from the poses (c, 3)."""
         matched = matches >= 0
         to = self.positions[matches] - poses[:, None, :2]
@@ -145,24 +154,43 @@ class ScanModel:
         peak = self.log_match - self.log_clutter - _LOG_TWO_PI - 0.5 * np.log(plain)
         return Terms(np.where(matched, peak, 0.0), error, weight, jacobian)
 
-    def log_gains(self, poses: FloatArray, row: IntArray, landmark: IntArray, wider: FloatArray) -> FloatArray:
-        """(h, k) log density of observations (k,) as landmarks (k,), relative to clutter, at poses (h, 3)."""
-        dx, dy = (self.positions[landmark, k] - poses[:, k : k + 1] for k in (0, 1))
+    def near_any(self, poses: FloatArray) -> BoolArray:
+        """(n, m): what may be what from one of the poses (h, 3) at least, by errors that are not widened."""
+        gain = self.log_gains(poses, np.arange(len(self.positions)), None)
+        peak = self.log_match - self.log_clutter - _LOG_TWO_PI
+        det = self.covariance[:, 0, 0] * self.covariance[:, 1, 1] - self.covariance[:, 0, 1] ** 2
+        best = np.max(gain, axis=1, initial=-np.inf)
+        return np.asarray(best > (peak - 0.5 * np.log(det) - 0.5 * GATE)[:, None]) & self.may
+
+    def log_gains(self, poses: FloatArray, landmarks: IntArray, wider: FloatArray | None) -> FloatArray:
+        """(n, h, k) log density of observations as landmarks (k,), relative to clutter, at poses (h, 3)."""
+        dx, dy = (self.positions[landmarks, k] - poses[:, k : k + 1] for k in (0, 1))
         d = np.maximum(np.hypot(dx, dy), _NEAREST_M)
-        error_r = d - self.range_bearing[row, 0]
-        error_b = wrap(np.arctan2(dy, dx) - poses[:, 2:] - self.range_bearing[row, 1])
-        plain, (rr, rb, bb) = self._noise(row, landmark, dx / d, dy / d, d, wider)
-        misfit = ((bb * error_r - 2.0 * rb * error_b) * error_r + rr * error_b**2) / (rr * bb - rb * rb)
-        peak = (self.log_match - self.log_clutter)[row] - _LOG_TWO_PI - 0.5 * np.log(plain)
-        return np.asarray(peak - 0.5 * misfit)
+        error_r = d - self.range_bearing[:, :1, None]
+        error_b = (np.arctan2(dy, dx) - poses[:, 2:]) - self.range_bearing[:, 1:, None]
+        error_b -= 2 * np.pi * np.rint(error_b / (2 * np.pi))
+        row = np.arange(len(self.range_bearing))[:, None, None]
+        plain, (rr, rb, bb) = self._noise(row, landmarks, dx / d, dy / d, d, wider)
+        det = rr * bb - rb * rb
+        out = error_r * error_r * (bb / det)
+        if rb.any():
+            out -= error_r * error_b * (2.0 * rb / det)
+        error_b *= error_b
+        error_b *= rr / det
+        out += error_b
+        out *= -0.5
+        out += (self.log_match - self.log_clutter - _LOG_TWO_PI)[:, None, None] - 0.5 * np.log(plain)
+        return np.asarray(out)
 
     def _noise(
-        self, row: IntArray, landmark: IntArray, ux: FloatArray, uy: FloatArray, d: FloatArray, wider: FloatArray
+        self, row: IntArray, landmark: IntArray, ux: FloatArray, uy: FloatArray, d: FloatArray, wider: FloatArray | None
     ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
         """Of range and bearing (...), u the line of sight in the field: determinant as it is, covariance widened."""
         rr, rb, bb = self.covariance[row, 0, 0], self.covariance[row, 0, 1], self.covariance[row, 1, 1]
-        by_r, by_b = wider[row, 0], wider[row, 1]
-        wrr, wrb, wbb = rr * by_r, rb * np.sqrt(by_r * by_b), bb * by_b
+        wrr, wrb, wbb = rr, rb, bb
+        if wider is not None:
+            by_r, by_b = wider[row, 0], wider[row, 1]
+            wrr, wrb, wbb = rr * by_r, rb * np.sqrt(by_r * by_b), bb * by_b
         if self.survey is not None:
             flat = self.survey[landmark].reshape(*np.shape(landmark), 4)
             sxx, sxy, syy = flat[..., 0], flat[..., 1], flat[..., 3]
@@ -180,16 +208,25 @@ class ScanModel:
         return c * dx + s * dy, c * dy - s * dx
 
     @cached_property
-    def _points(self) -> tuple[FloatArray, tuple[FloatArray, ...], tuple[FloatArray, ...], tuple[FloatArray, ...]]:
-        """Where landmarks were seen (n, 2), and (xx, xy, yy) of its covariance (n, 1) each: what comes of the range's
-        variance, of the bearing's at one metre, and of what they share at one metre."""
-        r, b = self.range_bearing.T[..., None]
+    def _repeats(self) -> bool:
+        return bool((self.wider > 1.0).any())
+
+    @cached_property
+    def _seen(self) -> FloatArray:
+        """(14, n): where landmarks were seen x, y, range; variances of range and bearing; then (xx, xy, yy) each of what
+        comes of the range's variance, of the bearing's at one metre, and of what they share at one metre."""
+        r, b = self.range_bearing.T
         c, s = np.cos(b), np.sin(b)
-        rr, rb, bb = self.covariance[:, :1, 0], self.covariance[:, :1, 1], self.covariance[:, 1:, 1]
-        along = (c * c * rr, c * s * rr, s * s * rr)
-        across = (s * s * bb, -c * s * bb, c * c * bb)
-        mixed = (-2.0 * c * s * rb, (c * c - s * s) * rb, 2.0 * c * s * rb)
-        return np.hstack([r * c, r * s]), along, across, mixed
+        rr, rb, bb = self.covariance[:, 0, 0], self.covariance[:, 0, 1], self.covariance[:, 1, 1]
+        along = [c * c * rr, c * s * rr, s * s * rr]
+        across = [s * s * bb, -c * s * bb, c * c * bb]
+        mixed = [-2.0 * c * s * rb, (c * c - s * s) * rb, 2.0 * c * s * rb]
+        return np.stack([r * c, r * s, r, rr, bb, *along, *across, *mixed])
+
+
+def _determinant(upper: Sequence[FloatArray]) -> FloatArray:
+    xx, xy, yy = upper
+    return xx * yy - xy * xy
 
 
 def _upper(covariances: FloatArray) -> tuple[FloatArray, ...]:
