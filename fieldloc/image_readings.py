@@ -15,7 +15,7 @@ import numpy as np
 from fieldloc.image_anchors import Anchors, one_turn
 from fieldloc.image_map import ImageMap
 from fieldloc.image_posts import PostsSeen, seen_together
-from fieldloc.image_states import Readings, Solved, Windows, solve
+from fieldloc.image_states import Readings, Solved, Windows, inside, solve
 from fieldloc.pose import FloatArray, wrap
 
 _GATE = 18.42  # chi-square of two degrees: a right post fails once in ten thousand
@@ -25,6 +25,7 @@ _GRID = np.linspace(-1.0, 1.0, 41)  # of places on a circle
 _LEAST_ANGLE_RAD = 1e-3
 _LARGEST_LOG_RATIO = 3.0  # of two posts' distances
 _SEED_STEPS = 2
+_SEED_SLACK_M = 1.0  # how far a seed may be off beside the field
 _WINDOW_STEPS = 4
 _STRAIGHT_LOG_M = 0.15  # standard deviation of a log distance up to which a likelihood is a Gaussian
 _STRAIGHT_RAD = 0.08  # the same of the direction from two posts
@@ -97,7 +98,11 @@ def _along_lines(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Reading
     inverse = (by_line * own_variance + own * line_variance) / (own_variance + line_variance)
     distance = 1.0 / np.maximum(inverse, 1.0 / _FARTHEST_M)
     poses = np.stack([x - distance * sight_x, y - distance * sight_y, at[:, 2]], axis=-1)
-    kept = np.flatnonzero(agree)
+    along = free[:, 0] * poses[:, 0] + free[:, 1] * poses[:, 1]
+    reach = 1.0 + _SIGMAS * np.sqrt(own_variance) * distance**2
+    bounds = anchors.along_m[index]
+    agree &= (bounds[:, 0] - reach < along) & (along < bounds[:, 1] + reach)
+    kept = np.flatnonzero(agree & inside(poses, field, _SEED_SLACK_M))
     matched = np.full((len(kept), len(posts)), -1, dtype=np.intp)
     matched[np.arange(len(kept)), post[kept]] = mark[kept]
     return Readings(index[kept], matched, poses[kept])

@@ -133,7 +133,7 @@ def solve(
     spread = 2.0 / (9.0 * degrees)  # Wilson and Hilferty, 1931
     possible = misfit < degrees * (1.0 - spread + _SIGMAS * np.sqrt(spread)) ** 3
     covariances = covariance[:, :3, :3]
-    possible &= _inside(poses, field) & _long_enough(poses, covariances, anchors.free[rows], anchors.along_m[rows])
+    possible &= inside(poses, field) & _long_enough(poses, covariances, anchors.free[rows], anchors.along_m[rows])
     log_integrals = np.where(possible, log_norm + log_survey + log_volume - 0.5 * misfit, -np.inf)
     return Solved(Readings(rows, readings.matched, poses), covariances, log_integrals)
 
@@ -189,9 +189,10 @@ def _moved(poses: FloatArray, step: FloatArray) -> FloatArray:
     return out
 
 
-def _inside(poses: FloatArray, field: ImageMap) -> NDArray[np.bool_]:
+def inside(poses: FloatArray, field: ImageMap, slack_m: float = 0.0) -> NDArray[np.bool_]:
+    """(k,) whether a robot can be there, or nearly so."""
     xy = poses[:, :2]
-    return np.asarray(((xy > field.box[:2]) & (xy < field.box[2:])).all(axis=1))
+    return np.asarray(((xy > field.box[:2] - slack_m) & (xy < field.box[2:] + slack_m)).all(axis=1))
 
 
 def _long_enough(
