@@ -68,14 +68,14 @@ def expected_calibration_error(told: FloatArray, true: NDArray[np.bool_]) -> flo
     """Ten bins of equal width; the mean distance of what was told from how often it was true, by how many there are."""
     if not len(told):
         return np.nan
-    bins = np.minimum((told * _BINS).astype(int), _BINS - 1)
+    bins = _bins(told)
     gaps = [abs(float(np.sum(told[bins == b]) - np.sum(true[bins == b]))) for b in range(_BINS)]
     return sum(gaps) / len(told)
 
 
 def reliability(told: FloatArray, true: NDArray[np.bool_]) -> Iterator[tuple[str, ...]]:
     """A row a bin: from, to, how many, told on average, true how often."""
-    bins = np.minimum((told * _BINS).astype(int), _BINS - 1)
+    bins = _bins(told)
     for b in range(_BINS):
         if (here := bins == b).any():
             yield (
@@ -84,6 +84,11 @@ def reliability(told: FloatArray, true: NDArray[np.bool_]) -> Iterator[tuple[str
                 f"{told[here].mean():.3f}",
                 f"{true[here].mean():.3f}",
             )
+
+
+def _bins(told: FloatArray) -> NDArray[np.intp]:
+    """One half is one half, whichever way it was rounded."""
+    return np.minimum((np.round(told, 6) * _BINS).astype(np.intp), _BINS - 1)
 
 
 def both_sides(moments: Iterable[Moment]) -> tuple[FloatArray, NDArray[np.bool_]]:

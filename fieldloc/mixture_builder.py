@@ -15,6 +15,7 @@ from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkS
 from fieldloc.mixture import MixtureFactor
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
+from fieldloc.repeated_mixture import RepeatedMixture
 from fieldloc.repetition import ErrorCorrelation, Repetition, inflation
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
 from fieldloc.solution_mixture import SolutionMixture
@@ -67,8 +68,7 @@ class MixtureBuilder:
                     self._images_without_camera += 1
                     return None
                 self._count_unknown(post.label for post in measurement.posts)
-                wider = self._wider(_ANY_IMAGE, stamp_ns, self._correlation.image_s)
-                return image_mixture(measurement, self._camera, self._field, self._detection, wider)
+                return self._image(measurement, self._camera)
             case Compass():
                 wider = self._wider(_COMPASS, stamp_ns, self._correlation.compass_s)
                 return heading_mixture(measurement, wider, self._area_m2)
@@ -86,6 +86,19 @@ class MixtureBuilder:
                     self._repetition.see(_COMPASS, mixture.stamp_ns)
             case _:
                 self._repetition.see(_ANY_IMAGE, mixture.stamp_ns)
+
+    def _image(self, features: ImageFeatures, camera: Camera) -> MixtureFactor | None:
+        wider = self._wider(_ANY_IMAGE, features.stamp_ns, self._correlation.image_s)
+        again = image_mixture(features, camera, self._field, self._detection, wider)
+        if again is None or wider == 1.0:
+            return again
+
+        def first() -> MixtureFactor:
+            alone = image_mixture(features, camera, self._field, self._detection, 1.0)
+            assert alone is not None
+            return alone
+
+        return RepeatedMixture(again, first, wider, float(np.log(2 * np.pi * self._area_m2)))
 
     def _told(self, told: InitialPose) -> MixtureFactor:
         pose = told.pose[None]
