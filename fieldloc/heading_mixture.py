@@ -57,11 +57,10 @@ class HeadingMixture:
         width2 = self.wider * self.sigma_rad**2 * ((1.0 + over) / over) * (height / (1.0 + height))
         return math.log(_DISTURBED / math.tau) / self.wider, height, width2
 
-    @cached_property
+    @property
     def log_integral(self) -> float:
-        log_floor, height, width2 = self._floor_height_width2
-        bump = height * math.sqrt(math.tau * width2) * math.erf(math.pi / math.sqrt(2.0 * width2))
-        return log_floor + math.log(math.tau + bump) + math.log(self.area_m2)
+        """Of a robot that may be anywhere the power is taken of what one reading says on the average of all headings."""
+        return math.log(math.tau * self.area_m2) - math.log(math.tau) / self.wider
 
     def solutions(self) -> PoseSolutions:
         return PoseSolutions.none()
