@@ -6,7 +6,7 @@ import numpy as np
 
 from fieldloc.association import Belief
 from fieldloc.factors import Factor
-from fieldloc.mixture import MixtureFactor
+from fieldloc.mixture import IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
 
 _SURE = 0.99
@@ -17,21 +17,21 @@ def sure(
 ) -> tuple[Factor, ...]:
     """The factors of the solution that is right with 99 %, for an estimator that knows one place only.
 
-    belief: where the robot is; without one, the only whole pose that explains what was seen. log_prior: of poses
-    (k, 3), where it may be then.
+    belief: where the robot is; without one, the only whole pose that explains what was seen. That is given too where
+    nothing near the belief explains it: a wrong belief must hear of it. log_prior: of poses (k, 3), where it may be.
     """
-    if belief is None:
-        found = mixture.solutions()
-        ids, weights = found.ids, found.log_weights
-        if log_prior is not None:
-            weights = weights + log_prior(found.poses)
-        doubts = [weights]
-    else:
+    if belief is not None:
         near = mixture.expand(belief.pose[None], belief.covariance[None])
-        ids, weights = near.ids, near.evidence
-        doubts = [weights, np.array([mixture.log_outlier])]
-    if not np.isfinite(weights).any():
+        if len(near.ids) and float(near.evidence.max()) > mixture.log_outlier:
+            return _surest(mixture, near.ids, near.evidence)
+    found = mixture.solutions()
+    prior = 0.0 if log_prior is None else log_prior(found.poses)
+    return _surest(mixture, found.ids, found.log_weights + prior)
+
+
+def _surest(mixture: MixtureFactor, ids: IntArray, log_weights: FloatArray) -> tuple[Factor, ...]:
+    if not np.isfinite(log_weights).any():
         return ()
-    best = int(np.argmax(weights))
-    share = float(weights[best] - np.logaddexp.reduce(np.concatenate(doubts)))
+    best = int(np.argmax(log_weights))
+    share = float(log_weights[best] - np.logaddexp.reduce(log_weights))
     return mixture.chosen(int(ids[best])) if share >= np.log(_SURE) else ()

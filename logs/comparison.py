@@ -34,7 +34,7 @@ def compare(
     estimators: Mapping[str, Callable[[Config], Estimator]],
     config: Config,
     field: FieldMap | None = None,
-    start_pose: FloatArray | None = None,
+    start: FloatArray | str | None = None,
     progress: Progress = unwatched,
 ) -> Comparison:
     """Each estimator on the whole log; one that fails is in the result, without estimates.
@@ -47,7 +47,7 @@ def compare(
     warnings = dict.fromkeys(recording.warnings)
     for name, make in estimators.items():
         try:
-            done = replay(recording, make(config), start_pose, config, partial(_of, progress, name))
+            done = replay(recording, make(config), start, config, partial(_of, progress, name))
         except FieldlocError as error:
             runs.append(RunResult(name, from_estimates(()), np.zeros(0), 0.0))
             failures.append(f"{name}: {error}")

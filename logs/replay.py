@@ -15,13 +15,13 @@ from fieldloc import pose as se2
 from fieldloc.association import Belief
 from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
-from fieldloc.factor_builder import FactorBuilder
 from fieldloc.factors import Factor
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Measurement, Odometry
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
-from fieldloc.regions import Region, anywhere
+from fieldloc.regions import Region, anywhere, region
+from fieldloc.resolution import sure
 from logs.kept import KeptAmbiguities
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
@@ -127,22 +127,23 @@ class Step:
 class Run:
     """An estimator on its way through a recording.
 
-    start: at the first measurement, a pose (3,) known to about 0.1 m and 5 deg, or a region for an estimator that takes
-    one. config: how long errors stay alike, how reliably things are seen.
+    start: at the first measurement, a pose (3,) known to about 0.1 m and 5 deg, or a region or its name
+    (`fieldloc.regions`). config: how long errors stay alike, how reliably things are seen. FieldlocError where the map
+    has no such region.
     """
 
     def __init__(
         self,
         recording: Recording,
         estimator: Estimator,
-        start: FloatArray | Region | None = None,
+        start: FloatArray | Region | str | None = None,
         config: Config = _DEFAULTS,
     ) -> None:
         self.recording = recording
         self.estimator = estimator
-        self._start = start
-        self._builder = FactorBuilder(recording.field, recording.camera, config.correlation)
-        self._mixtures = MixtureBuilder(recording.field, recording.camera, config.correlation, config.detection)
+        self._told = start if isinstance(start, np.ndarray) else None
+        self._region = _region(start, recording.field)
+        self._builder = MixtureBuilder(recording.field, recording.camera, config.correlation, config.detection)
         self._unusable: list[str] = []
 
     def steps(self) -> Iterator[Step]:
@@ -150,10 +151,10 @@ class Run:
         estimator = self.estimator
         first_ns = self.recording.measurements[0].stamp_ns
         with self._failing(first_ns):
-            if isinstance(estimator, MixtureEstimator) and not isinstance(self._start, np.ndarray):
-                estimator.start_in(self._start or anywhere(self.recording.field), first_ns)
-            elif isinstance(self._start, np.ndarray):
-                estimator.start(Estimate(first_ns, self._start, _START_COVARIANCE))
+            if isinstance(estimator, MixtureEstimator):
+                estimator.start_in(self._region, first_ns)
+            if self._told is not None:
+                estimator.start(Estimate(first_ns, self._told, _START_COVARIANCE))
         for measurement in self.recording.measurements:
             update_s = None
             with self._failing(measurement.stamp_ns):
@@ -169,16 +170,27 @@ class Run:
             yield Step(measurement, now, update_s)
 
     def _observe(self, measurement: Observation) -> None:
-        estimator = self.estimator
-        if isinstance(estimator, MixtureEstimator):
-            mixture = self._mixtures.build(measurement)
-            if mixture is not None:
-                estimator.observe(mixture)
-                now = estimator.estimate()
-                self._mixtures.remember(mixture, None if now is None else now.pose)
+        """A measurement whose numbers are beyond all arithmetic is noted as unusable."""
+        estimator, before = self.estimator, self.estimator.estimate()
+        try:
+            mixture = self._builder.build(measurement)
+            if mixture is None or isinstance(estimator, MixtureEstimator):
+                factors: tuple[Factor, ...] = ()
+            else:
+                factors = sure(mixture, _belief(before), self._region.log_density)
+        except _FAILURES as error:
+            kind = type(measurement).__name__
+            at = seconds(measurement.stamp_ns)
+            self._unusable.append(f"{kind} at {at} cannot be computed with: {_first_line(error)}")
             return
-        for factor in _factors(self._builder, measurement, estimator, self._unusable):
+        if mixture is None:
+            return
+        if isinstance(estimator, MixtureEstimator):
+            estimator.observe(mixture)
+        for factor in factors:
             estimator.update(factor)
+        now = estimator.estimate()
+        self._builder.remember(mixture, None if now is None else now.pose)
 
     def trajectory(self) -> tuple[Estimate, ...] | None:
         """The past in the light of all steps taken, None where the estimator cannot look back."""
@@ -211,7 +223,7 @@ class Run:
 def replay(
     recording: Recording,
     estimator: Estimator,
-    start: FloatArray | Region | None = None,
+    start: FloatArray | Region | str | None = None,
     config: Config = _DEFAULTS,
     progress: Progress = unwatched,
 ) -> Replay:
@@ -246,24 +258,17 @@ def replay(
     return Replay(tuple(estimates), np.array(update_s), total_s, run.warnings, kept.all(), events)
 
 
-def _factors(
-    builder: FactorBuilder, measurement: Observation, estimator: Estimator, unusable: list[str]
-) -> tuple[Factor, ...]:
-    """None from a measurement whose numbers are beyond all arithmetic: it is noted as unusable."""
-    try:
-        return builder.build(measurement, _belief(estimator))
-    except _FAILURES as error:
-        kind = type(measurement).__name__
-        unusable.append(f"{kind} at {seconds(measurement.stamp_ns)} cannot be computed with: {_first_line(error)}")
-        return ()
+def _region(start: FloatArray | Region | str | None, field: FieldMap) -> Region:
+    if isinstance(start, str):
+        return region(start, field)
+    return start if isinstance(start, Region) else anywhere(field)
 
 
 def _first_line(error: Exception) -> str:
     return next(iter(str(error).strip().splitlines()), type(error).__name__)
 
 
-def _belief(estimator: Estimator) -> Belief | None:
-    now = estimator.estimate()
+def _belief(now: Estimate | None) -> Belief | None:
     return None if now is None else Belief(now.pose, se2.rotate_covariance(now.covariance, -now.pose[2]))
 
 

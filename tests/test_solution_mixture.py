@@ -129,7 +129,15 @@ def test_a_solution_is_sure_only_where_belief_tells_it_from_the_others_and_from_
     (factor,) = sure(far, Belief(POSE, P3))
     np.testing.assert_allclose(factor.error(POSE), 0.0, atol=1e-12)
     assert sure(one, Belief(POSE, P3)) == ()  # two of the three are near
-    assert sure(SolutionMixture(7, far.stacks, 5.0, False, 54.0), Belief(POSE, P3)) == ()
+    assert (
+        sure(SolutionMixture(7, far.stacks, 5.0, False, 54.0), Belief(POSE, P3)) == ()
+    )  # more likely nothing is right
     np.testing.assert_allclose(
         sure(far, None, lambda p: np.where(p[:, 0] < 0, -99.0, 0.0))[0].error(POSE), 0.0, atol=1e-12
     )
+
+
+def test_a_wrong_belief_hears_of_the_only_whole_pose_there_is() -> None:
+    only = SolutionMixture(7, ((STACKS["poses"].take(np.array([2])), np.zeros(1)),), -50.0, False, 54.0)
+    (factor,) = sure(only, Belief(POSE, P3))
+    np.testing.assert_allclose(factor.error(np.array([-2.0, 1.0, 3.0])), 0.0, atol=1e-12)

@@ -10,6 +10,7 @@ import numpy as np
 
 from fieldloc.errors import FieldlocError
 from fieldloc.pose import FloatArray
+from fieldloc.regions import REGIONS
 
 RUNS = Path("runs")
 """Where results go unless told otherwise."""
@@ -46,14 +47,18 @@ class Commands:
         return sub
 
 
-def start_pose(text: str) -> FloatArray:
-    """X,Y,HEADING_DEG as (3,) in metres and radians."""
+def start(text: str) -> FloatArray | str:
+    """X,Y,HEADING_DEG as (3,) in metres and radians, or the name of a region."""
+    if text in REGIONS:
+        return text
     with suppress(ValueError):
         x_m, y_m, heading_deg = (float(part) for part in text.split(","))
         pose = np.array([x_m, y_m, np.radians(heading_deg)])
         if np.isfinite(pose).all():
             return pose
-    raise argparse.ArgumentTypeError(f"'{text}' is not X,Y,HEADING_DEG in numbers, for example -2.5,0,90")
+    raise argparse.ArgumentTypeError(
+        f"'{text}' is neither X,Y,HEADING_DEG in numbers, for example -2.5,0,90, nor one of {', '.join(REGIONS)}"
+    )
 
 
 def positive(text: str) -> float:

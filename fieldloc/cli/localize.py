@@ -8,11 +8,12 @@ from pathlib import Path
 
 from estimators.config import Config
 from estimators.config_file import load_config, with_settings
-from fieldloc.cli.commands import RUNS, Commands, Parser, start_pose
+from fieldloc.cli.commands import RUNS, Commands, Parser, start
 from fieldloc.cli.reading import add_meaning_options, add_part_options, open_log
 from fieldloc.cli.terminal import bar, say, warn, warning_of
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap, load_field
+from fieldloc.regions import REGIONS
 
 ONLINE = ("ekf", "particles", "dead-reckoning")
 _COMPARED = "dead-reckoning,ekf,particles,smooth"
@@ -40,9 +41,10 @@ def add_estimation_options(sub: Parser) -> None:
     sub.add_argument("--field", metavar="NAME|FILE", help="a map by name or TOML file instead of the log's own")
     sub.add_argument(
         "--start",
-        type=start_pose,
-        metavar="X,Y,HEADING_DEG",
-        help="pose at the first measurement, known to about 0.1 m and 5 deg; found from what is seen if not given",
+        type=start,
+        metavar="X,Y,HEADING_DEG|REGION",
+        help="pose at the first measurement, known to about 0.1 m and 5 deg, or where it is roughly: "
+        f"{', '.join(REGIONS)}; found from what is seen if not given",
     )
     sub.add_argument("--config", type=Path, metavar="FILE.toml", help="settings that differ from the defaults")
     sub.add_argument(
