@@ -11,12 +11,14 @@ import numpy as np
 from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray
 from fieldloc.pose import FloatArray
-from fieldloc.scan_model import Pairs, ScanModel
+from fieldloc.scan_model import Pairs, ScanModel, Terms
 
 _AT_ONCE = 48  # assignments followed of one hypothesis
 _FORGOTTEN_ON_THE_WAY = 12.0  # log weight below the best one's
+_FORGOTTEN = 8.0  # the same in the end
+_DOUBTFUL = 2.0  # log evidence of an observation's landmark against clutter, below which more of them may be wrong
 _ROUNDS = 3
-_STRAIGHT = np.array([0.02, 0.02, 0.02])  # m, m, rad: a step that is no longer needs no further linearisation
+_STRAIGHT = np.array([0.05, 0.05, 0.05])  # m, m, rad: a step that is no longer needs no further linearisation
 
 
 class Assignments(NamedTuple):
@@ -104,25 +106,109 @@ def _best(parent: IntArray, score: FloatArray, h: int) -> IntArray:
     return np.asarray(order[(score > score[begin[parent]] - _FORGOTTEN_ON_THE_WAY) & (rank < _AT_ONCE)])
 
 
-def quadratics(
+def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tuple[Expansion, IntArray]:
+    """Assignments near poses (h, 3) as quadratics, and their landmarks (c, n) per observation, -1 for none.
+
+    ids are rows, constants relative to all being clutter, which is left out itself.
+    """
+    pairs = model.pairs(poses, covariances)
+    matches = np.full((len(poses), len(model.range_bearing)), -1)
+    matches[pairs.pose, pairs.row] = pairs.landmark
+    if _unambiguous(pairs, len(poses), *model.may.shape):
+        parent = np.flatnonzero((matches >= 0).any(axis=1))
+        found = Assignments(parent, matches[parent], np.zeros((len(parent), 3)), np.zeros(len(parent)))
+        out, error, weighted = _quadratics(model, found, poses, covariances, pairs.wider)
+        if (doubted := _without_one(out, found.matches, error, weighted)) is not None:
+            return doubted
+    found = assign(model, pairs, covariances)
+    found = found.take(np.flatnonzero((found.matches >= 0).any(axis=1)))
+    out, _, _ = _quadratics(model, found, poses, covariances, pairs.wider)
+    best = np.full(len(poses), -np.inf)
+    np.maximum.at(best, out.parent, out.evidence)
+    keep = np.flatnonzero(out.evidence > best[out.parent] - _FORGOTTEN)
+    return _take(out, keep), found.matches[keep]
+
+
+def _unambiguous(pairs: Pairs, h: int, n: int, m: int) -> bool:
+    """Whether no observation may be two landmarks, and no landmark two observations, from any one pose."""
+    return bool(
+        len(pairs.pose) <= 1
+        or max(np.bincount(pairs.pose * n + pairs.row).max(), np.bincount(pairs.pose * m + pairs.landmark).max()) == 1
+    )
+
+
+def _quadratics(
     model: ScanModel, found: Assignments, poses: FloatArray, covariances: FloatArray, wider: FloatArray | None
-) -> Expansion:
-    """The assignments as quadratics at their parents among poses (h, 3), straight where they lead; ids are rows, and
-    the constants relative to all being clutter."""
+) -> tuple[Expansion, Terms, FloatArray]:
+    """At their parents among poses (h, 3), straight where they lead.
+
+    Also errors and Jacobians (in terms of the tangent at the parent's pose) of each observation, and both weighted
+    (c, n, 2, 4): Jacobian beside error.
+    """
     origin, covariance = poses[found.parent], covariances[found.parent]
     step, shape = found.step, (len(found.step), 2 * found.matches.shape[1])
     each = np.arange(len(step))
+    moved = bool(step.any())
     for _ in range(_ROUNDS):
-        moved = bool(step.any())
         terms = model.terms(se2.retract(origin, step) if moved else origin, found.matches, wider)
-        # in terms of the tangent at the parent's pose
-        jacobian = terms.jacobian @ se2.right_jacobian(step)[:, None] if moved else terms.jacobian
-        error = terms.error - (jacobian @ step[:, None, :, None])[..., 0] if moved else terms.error
-        weighted = terms.weight @ np.concatenate([jacobian, error[..., None]], axis=-1)
-        back = np.swapaxes(jacobian.reshape(*shape, 3), -1, -2) @ weighted.reshape(*shape, 4)
-        constant = terms.log_peak.sum(axis=1) - 0.5 * (error * weighted[..., 3]).sum(axis=(1, 2))
+        if moved:
+            jacobian = terms.jacobian @ se2.right_jacobian(step)[:, None]
+            terms = terms._replace(jacobian=jacobian, error=terms.error - (jacobian @ step[:, None, :, None])[..., 0])
+        weighted = terms.weight @ np.concatenate([terms.jacobian, terms.error[..., None]], axis=-1)
+        back = np.swapaxes(terms.jacobian.reshape(*shape, 3), -1, -2) @ weighted.reshape(*shape, 4)
+        constant = terms.log_peak.sum(axis=1) - 0.5 * (terms.error * weighted[..., 3]).sum(axis=(1, 2))
         out = Expansion(found.parent, each, constant, -back[..., 3], back[..., :3], covariance)
         if (np.abs(out.step - step) < _STRAIGHT).all():
             break
-        step = out.step
-    return out
+        step, moved = out.step, True
+    return out, terms, weighted
+
+
+def _without_one(
+    full: Expansion, matches: IntArray, terms: Terms, weighted: FloatArray
+) -> tuple[Expansion, IntArray] | None:
+    """The assignments of all that has its landmark, and those with one left out that is worth a doubt.
+
+    None where one is so doubtful that more of them may be wrong.
+    """
+    # how likely each is beside the others: the innovation without it, from the residual with it
+    left = terms.error + (terms.jacobian @ full.step[:, None, :, None])[..., 0]
+    explained = weighted[..., :3] @ full.updated[:, None] @ np.swapaxes(terms.jacobian, -1, -2)
+    a, b = 1.0 - explained[..., 0, 0], -explained[..., 0, 1]
+    c, d = -explained[..., 1, 0], 1.0 - explained[..., 1, 1]
+    det = np.maximum(a * d - b * c, 1e-300)
+    pull = (terms.weight @ left[..., None])[..., 0]
+    misfit = left[..., 0] * (d * pull[..., 0] - b * pull[..., 1]) + left[..., 1] * (a * pull[..., 1] - c * pull[..., 0])
+    gain = np.where(matches >= 0, terms.log_peak + 0.5 * np.log(det) - 0.5 * misfit / det, np.inf)
+    if (gain > _FORGOTTEN).all():
+        return full, matches
+    if (gain < _DOUBTFUL).any():
+        return None
+    row, seen = np.nonzero((gain < _FORGOTTEN) & ((matches >= 0).sum(axis=1) > 1)[:, None])
+    error, jacobian, of_it = terms.error[row, seen], terms.jacobian[row, seen], weighted[row, seen]
+    back = np.swapaxes(jacobian, -1, -2) @ of_it
+    constant = full.constant[row] - terms.log_peak[row, seen] + 0.5 * (error * of_it[..., 3]).sum(axis=1)
+    rows = np.concatenate([np.arange(len(matches)), row])
+    others = matches[rows]
+    others[np.arange(len(matches), len(rows)), seen] = -1
+    return Expansion(
+        full.parent[rows],
+        np.arange(len(rows)),
+        np.concatenate([full.constant, constant]),
+        np.concatenate([full.gradient, full.gradient[row] + back[..., 3]]),
+        np.concatenate([full.information, full.information[row] - back[..., :3]]),
+        full.covariance[rows],
+    ), others
+
+
+def _take(full: Expansion, rows: IntArray) -> Expansion:
+    if len(rows) == len(full.ids):
+        return full
+    return Expansion(
+        full.parent[rows],
+        full.ids[rows],
+        full.constant[rows],
+        full.gradient[rows],
+        full.information[rows],
+        full.covariance[rows],
+    )

@@ -24,11 +24,10 @@ from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
-from fieldloc.scan_assignments import assign, quadratics
+from fieldloc.scan_assignments import assign, expand
 from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
 
-_FORGOTTEN = 8.0  # log evidence below a pose's best assignment, where one is left out
 _RING_STEPS = 24
 _MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFix
 # chance of a good scan to fail is one in ten thousand: chi-square at 2n - 3 degrees of freedom for n = 2, 3, ...
@@ -55,25 +54,24 @@ class ScanMixture:
         return self._solutions
 
     def expand(self, poses: FloatArray, covariances: FloatArray) -> Expansion:
-        to_sensor = se2.adjoint(se2.inverse(self.scan.robot_from_sensor))
-        at = se2.compose(poses, self.scan.robot_from_sensor)
-        spread = to_sensor @ covariances @ to_sensor.T
-        pairs = self.model.pairs(at, spread)
-        found = assign(self.model, pairs, spread)
-        found = found.take(np.flatnonzero((found.matches >= 0).any(axis=1)))
-        seen = quadratics(self.model, found, at, spread, pairs.wider)
-        best = np.full(len(poses), -np.inf)
-        np.maximum.at(best, seen.parent, seen.evidence)
-        keep = np.flatnonzero(seen.evidence > best[seen.parent] - _FORGOTTEN)
-        parent = seen.parent[keep]
+        mount = self._mount
+        at = poses if mount is None else se2.compose(poses, self.scan.robot_from_sensor)
+        spread = covariances if mount is None else mount @ covariances @ mount.T
+        seen, matches = expand(self.model, at, spread)
         return Expansion(
-            parent,
-            self._intern(found.matches[keep]),
-            seen.constant[keep] + self.log_right,
-            seen.gradient[keep] @ to_sensor,
-            to_sensor.T @ seen.information[keep] @ to_sensor,
-            covariances[parent],
+            seen.parent,
+            self._intern(matches),
+            seen.constant + self.log_right,
+            seen.gradient if mount is None else seen.gradient @ mount,
+            seen.information if mount is None else mount.T @ seen.information @ mount,
+            seen.covariance if mount is None else covariances[seen.parent],
         )
+
+    @cached_property
+    def _mount(self) -> FloatArray | None:
+        """(3, 3) from a robot's tangent to its sensor's; None where they are the same."""
+        mount = self.scan.robot_from_sensor
+        return np.asarray(se2.adjoint(se2.inverse(mount))) if mount.any() else None
 
     def log_likelihood(self, poses: FloatArray) -> FloatArray:
         at = se2.compose(poses.reshape(-1, 3), self.scan.robot_from_sensor)

@@ -3,7 +3,6 @@
 Arrays over poses (h), observations (n) and landmarks of the map (m). A tangent is that of the sensor's pose.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -25,8 +24,8 @@ class Pairs(NamedTuple):
     """Observations and landmarks that may belong together, in order of pose and observation, (k,) each.
 
     x, y: where the landmark is, sensor's frame; ex, ey: less where it was seen, metres; xx, xy, yy: covariance of that,
-    widened. log_peak: log density of range and bearing without an error, relative to clutter and by the covariance that
-    is not widened, plus half the log determinant of (xx, xy, yy): less that of the whole error's, it is a density again.
+    widened. log_peak: log density of range and bearing without an error, relative to clutter, by the covariance that is
+    not widened, plus half the log determinant of (xx, xy, yy): less that of the whole error, it is a density again.
     wider: (n, 2) by how much it is widened, None for not at all.
     """
 
@@ -105,19 +104,18 @@ class ScanModel:
             x, y, ex, ey = x[keep], y[keep], ex[keep], ey[keep]
         wider = self.widening(row, landmark)
         r = seen[2]
-        survey = (0.0, 0.0, 0.0) if self.survey is None else _turned(self.survey[landmark], poses[pose, 2])
-        plain = [seen[5 + k] + r * (seen[11 + k] + r * seen[8 + k]) + survey[k] for k in range(3)]
+        survey = np.zeros((3, 1)) if self.survey is None else np.stack(_turned(self.survey[landmark], poses[pose, 2]))
+        plain = seen[5:8] + r * (seen[11:14] + r * seen[8:11])
+        if self.survey is not None:
+            plain += survey
         log_peak = (self.log_match - self.log_clutter - _LOG_TWO_PI)[row] + np.log(r)
         widened = plain
         if wider is not None:
             by_range, by_bearing = wider[row].T
             both = np.sqrt(by_range * by_bearing)
-            widened = [
-                by_range * seen[5 + k] + r * (both * seen[11 + k] + r * by_bearing * seen[8 + k]) + survey[k]
-                for k in range(3)
-            ]
+            widened = by_range * seen[5:8] + r * (both * seen[11:14] + r * by_bearing * seen[8:11]) + survey
             log_peak -= 0.5 * np.log(_determinant(plain) / _determinant(widened))
-        return Pairs(pose, row, landmark, x, y, ex, ey, *widened, log_peak, wider)
+        return Pairs(pose, row, landmark, x, y, ex, ey, widened[0], widened[1], widened[2], log_peak, wider)
 
     def widening(self, row: IntArray, landmark: IntArray) -> FloatArray | None:
         """(n, 2) by how much to widen what was seen: as the longest known of the landmarks that it may be from there;
@@ -213,8 +211,8 @@ class ScanModel:
 
     @cached_property
     def _seen(self) -> FloatArray:
-        """(14, n): where landmarks were seen x, y, range; variances of range and bearing; then (xx, xy, yy) each of what
-        comes of the range's variance, of the bearing's at one metre, and of what they share at one metre."""
+        """(14, n): where landmarks were seen x, y, range; variances of range and bearing; then (xx, xy, yy) each of
+        what comes of the range's variance, of the bearing's at one metre, and of what they share at one metre."""
         r, b = self.range_bearing.T
         c, s = np.cos(b), np.sin(b)
         rr, rb, bb = self.covariance[:, 0, 0], self.covariance[:, 0, 1], self.covariance[:, 1, 1]
@@ -224,9 +222,9 @@ class ScanModel:
         return np.stack([r * c, r * s, r, rr, bb, *along, *across, *mixed])
 
 
-def _determinant(upper: Sequence[FloatArray]) -> FloatArray:
+def _determinant(upper: FloatArray) -> FloatArray:
     xx, xy, yy = upper
-    return xx * yy - xy * xy
+    return np.asarray(xx * yy - xy * xy)
 
 
 def _upper(covariances: FloatArray) -> tuple[FloatArray, ...]:
