@@ -59,7 +59,7 @@ class HeadingMixture:
 
     @property
     def log_integral(self) -> float:
-        """Of a robot that may be anywhere the power is taken of what one reading says on the average of all headings."""
+        """What is taken to that power is what one reading says on the average of all headings."""
         return math.log(math.tau * self.area_m2) - math.log(math.tau) / self.wider
 
     def solutions(self) -> PoseSolutions:

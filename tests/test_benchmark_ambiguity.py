@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from benchmarks.ambiguity import run
 from benchmarks.games import GAMES, PlayedGame, truth_at
 from benchmarks.scoring import (
     Moment,
@@ -171,3 +172,9 @@ def test_an_estimator_that_does_not_say_how_sure_it_is_is_refused() -> None:
 
     with pytest.raises(ValueError, match="Ekf does not say how sure it is"):
         watch(GAMES["no compass"](0, 1.0), Ekf, Config())
+
+
+def test_it_prints_all_of_its_tables() -> None:
+    text = run(["--seeds", "1", "--duration", "2"])
+    words = ("P(mirrored) from", "wrong seeds", "kidnappings", "expected calibration", "NEES", "failures")
+    assert [word for word in words if word not in text] == []
