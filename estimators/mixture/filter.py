@@ -34,6 +34,7 @@ from fieldloc.regions import Region
 _DOUBT = np.log(0.1)  # of all being wrong: an observation is asked for its own poses
 _LOST = np.log(0.01)
 _ASK_EVERY_NS = 1_000_000_000
+_SAID_S = 2.0  # what is seen again after this has partly become news
 _CROWD = 4  # times as many as may stay are compared for being alike
 
 
@@ -59,6 +60,7 @@ class MixtureFilter:
         self._last: FloatArray | None = None  # its pose
         self._pending, self._pending_s = STANDSTILL, 0.0
         self._asked_ns: int | None = None
+        self._seen_ns: dict[type[MixtureFactor], int] = {}
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
@@ -117,8 +119,7 @@ class MixtureFilter:
         self.advance(mixture.stamp_ns)
         self._settle()
         children = Children.of(self._bank, self._sides, mixture)
-        if not mixture.by_compass:
-            children = children.tempered(self._config.mixture.evidence_share)
+        children = children.tempered(self._news(mixture))
         solutions = mixture.solutions() if self._asks(children, mixture) else None
         missed = self._lost.missed(mixture, solutions)
         births = self._born(solutions or PoseSolutions.none(), mixture.symmetric)
@@ -195,6 +196,17 @@ class MixtureFilter:
             return bank
         left, gain = self._config.compass.wander(self._pending_s)
         return bank.moved(self._pending, self._extra[:CALIBRATION], left, gain)
+
+    def _news(self, mixture: MixtureFactor) -> float:
+        """Share of what it says of hypotheses against each other that was not said a moment ago."""
+        if mixture.by_compass:
+            return 1.0  # has seen to it itself
+        before_ns = self._seen_ns.get(type(mixture))
+        self._seen_ns[type(mixture)] = self._now_ns
+        if before_ns is None:
+            return 1.0
+        old = 1.0 - self._config.mixture.evidence_share
+        return 1.0 - old * math.exp((before_ns - self._now_ns) * 1e-9 / _SAID_S)
 
     def _asks(self, children: Children, mixture: MixtureFactor) -> bool:
         """Whether the observation is to say itself where the robot may be, which may take it long: if that is not

@@ -17,7 +17,7 @@ from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
 _COMPARED = np.array([0, 1, 2, OFFSET])
-_ALIKE = 0.05  # a loss that nobody sees: equally likely ones are 0.65 sigmas apart
+_ALIKE = 0.2  # a loss that nobody sees: equally likely ones are 0.65 sigmas apart
 _SAME = 1e-7  # with different weights for the map's copies only those merge that are one but for rounding
 _SAME_SIDES = 0.01
 _APART2 = 16.0  # squared sigmas of the difference: what may soon be told apart is kept, however unlikely

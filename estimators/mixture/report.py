@@ -10,18 +10,28 @@ from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
 _TIE = 1e-6  # of log-weights
+_MINOR = 5.0  # nats: a less likely one adds nothing to a place
+_PLACE_M = 0.5
 _SHOWN = 1e-6
 
 
 def best(bank: Bank, sides: Sides, last: FloatArray | None) -> tuple[int, int]:
-    """Row and copy of the likeliest; of those that are equally likely, the nearest to the last estimate (3,)."""
+    """Row and copy of the likeliest at the likeliest place, as several may be at one place; of those that are equally
+    likely, the nearest to the last estimate (3,)."""
     weights = bank.log_weights
-    rows, copies = np.nonzero(weights >= weights.max() - _TIE)
-    if len(rows) > 1 and last is not None:
-        poses = se2.compose(sides.copies[copies], bank.poses[rows])
-        nearest = int(np.argmin(distance(poses, last)))
-        return int(rows[nearest]), int(copies[nearest])
-    return int(rows[0]), int(copies[0])
+    if weights.size == 1:
+        return 0, 0
+    rows, copies = np.nonzero(weights >= weights.max() - _MINOR)
+    poses = se2.compose(sides.copies[copies], bank.poses[rows])
+    there = distance(poses[:, None], poses) < _PLACE_M
+    likely = weights[rows, copies]
+    places = np.log(there @ np.exp(likely - likely.max()))
+    # all at the likeliest place share in it, so that the single one decides among them
+    first = np.flatnonzero(places >= places.max() - _TIE)
+    here = np.flatnonzero(there[first].any(axis=0))
+    here = here[likely[here] >= likely[here].max() - _TIE]
+    nearest = here[np.argmin(distance(poses[here], last))] if len(here) > 1 and last is not None else here[0]
+    return int(rows[nearest]), int(copies[nearest])
 
 
 def covariance_about(pose: FloatArray, bank: Bank, sides: Sides) -> FloatArray:
