@@ -133,11 +133,11 @@ def _measure(recording: Recording, truth: Trajectory, name: str, config: Config,
     begin_ns = recording.measurements[0].stamp_ns
     late = truth.select(np.flatnonzero(truth.stamps_ns >= begin_ns + int(after_s * 1e9)))
     first_s = (min(estimates) - begin_ns) * 1e-9 if estimates else np.inf
-    error_m = _error(from_estimates(estimates.values()), late, recording.field)
-    return Outcome(float(np.median(whole_s)), float(np.median(alone_s)), error_m, first_s)
+    error = error_m(from_estimates(estimates.values()), late, recording.field)
+    return Outcome(float(np.median(whole_s)), float(np.median(alone_s)), error, first_s)
 
 
-def _error(estimates: Trajectory, truth: Trajectory, field: FieldMap) -> float:
+def error_m(estimates: Trajectory, truth: Trajectory, field: FieldMap) -> float:
     """RMSE of the distance to the nearest copy of the truth; infinite where there is nothing to compare."""
     try:
         errors = match(estimates, truth)

@@ -12,7 +12,10 @@ from benchmarks import pareto
 from benchmarks.__main__ import BENCHMARKS, main
 from benchmarks.timing import fastest_s, table
 from estimators.ekf import Ekf
+from fieldloc import pose as se2
+from fieldloc.field import load_field
 from logs.samples import sample_path
+from logs.trajectory import Trajectory
 
 
 @pytest.mark.parametrize(
@@ -71,6 +74,18 @@ def test_what_accuracy_costs_is_told_and_drawn(told, tmp_path, capsys):
     assert error_m < 0.2
     assert first_s == pytest.approx(0.0, abs=1.0)
     assert (tmp_path / "cost.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_which_of_two_sides_that_look_the_same_is_no_error():
+    soccer = load_field("kidsize")
+    yard = replace(soccer, landmarks=soccer.landmarks[:1])  # one post: no half turn of it is the same
+    stamps_ns = 10**8 * np.arange(100)
+    truth = np.random.default_rng(0).normal(size=(100, 3))
+    turned = se2.compose(np.array([0.0, 0.0, np.pi]), truth)
+    flipping = np.where((stamps_ns > 5 * 10**9)[:, None], turned, truth) + [0.03, 0.04, 0.0]
+    poses = Trajectory(stamps_ns, flipping), Trajectory(stamps_ns, truth)
+    assert pareto.error_m(*poses, soccer) == pytest.approx(0.05)
+    assert pareto.error_m(*poses, yard) > 1.0
 
 
 def test_a_mixture_costs_as_many_times_less_as_the_cheapest_particles_that_are_as_good():

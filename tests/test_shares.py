@@ -109,6 +109,9 @@ def test_the_picture_shows_each_weight_as_long_as_it_held() -> None:
     one, two, others, lost = drawn(figure, 1)
     assert area(one) == pytest.approx(0.5 * 5 + 1.0 * 5, rel=1e-6)
     assert area(two) == pytest.approx(0.5 * 5, rel=1e-6)
+    for polygon, span_s in ((one, (0.0, 10.0)), (two, (0.0, 5.0))):
+        x = np.concatenate([np.asarray(path.vertices)[:, 0] for path in polygon.get_paths()])
+        assert (x.min(), x.max()) == pytest.approx(span_s, abs=1e-6)
     assert area(others) == area(lost) == pytest.approx(0.0, abs=1e-12)
     (mirrored,) = drawn(figure, 2)
     assert area(mirrored) == pytest.approx(0.5 * 5, rel=1e-6)

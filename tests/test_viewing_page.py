@@ -208,6 +208,14 @@ def test_hypotheses_come_back_from_the_page_in_the_order_in_which_they_are_stack
     assert packed["events"] == [[0.0, "start", "found </script>"], [20.0, "decision", "one"]]
 
 
+def test_hypotheses_keep_their_place_in_the_stack_when_another_one_becomes_the_likeliest(tmp_path: Path) -> None:
+    said = (ambiguity(EPOCH_NS, {4: 0.6, 2: 0.4}), ambiguity(EPOCH_NS + SECOND, {2: 0.9, 4: 0.07, 1: 0.03}))
+    view = LogResult("yard", 40.0, FIELD, None, (RunResult("mixture", circle(), np.zeros(0), 0.0, said),))
+    packed = document(written(tmp_path / "page.html", view))["runs"][0]["hypotheses"]
+    assert array(packed["weight"]).tolist() == pytest.approx([0.4, 0.6, 0.9, 0.07, 0.03])  # oldest first, then others
+    assert array(packed["colour"]).tolist() == [0, 1, 0, 1, 255]
+
+
 def test_of_too_many_hypotheses_and_events_the_page_has_fewer(tmp_path: Path) -> None:
     said, _ = unsure(12_000, 32)
     events = tuple(Event(EPOCH_NS + i, "split" if i % 100 else "decision", "") for i in range(50_000))
