@@ -57,7 +57,7 @@ def test_the_weights_are_those_of_all_ways_to_read_it(monkeypatch: pytest.Monkey
     estimator = MixtureFilter(LITERAL, remember=True)
     estimator.start(Estimate(0, START, se2.rotate_covariance(sure, START[2])))
     seen, outlier = [], np.log(0.02)
-    for k in range(3):
+    for _ in range(3):
         poses = se2.retract(START, random.standard_normal((2, 3)) * [0.2, 0.2, 0.0])
         seen.append(poses)
         estimator.observe(of_poses(0, poses, np.log([0.6, 0.4]), outlier))

@@ -100,6 +100,15 @@ class Bank:
         covariances[:, OFFSET, OFFSET] += offset_gain
         return replace(self, poses=poses, extra=extra, covariances=covariances)
 
+    def moved_one(self, row: int, motion: Increment) -> tuple[FloatArray, FloatArray]:
+        """Pose (3,) and covariance (3, 3) of one whose odometry the motion is, after it."""
+        pose, covariance = self.poses[row], self.covariances[row]
+        step = np.zeros((3, OFFSET))
+        step[:, :3] = se2.adjoint(se2.inverse(motion.before_from_after))
+        step[:, 3:] = motion.by_calibration
+        moved = step @ covariance[:OFFSET, :OFFSET] @ step.T + motion.covariance
+        return se2.compose(pose, motion.before_from_after), moved
+
     def corrected(self, rows: IntArray, seen: Expansion, log_weights: FloatArray, by_compass: bool) -> "Bank":
         """Children (c,): of `rows`, each with the quadratic of the expansion taken in.
 

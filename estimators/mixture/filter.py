@@ -129,13 +129,16 @@ class MixtureFilter:
         if not len(self._bank):
             return None
         row, copy = self._first
-        whole = self._config.mixture.whole_covariance
-        bank = self._moved(self._bank if whole else self._bank.take(np.array([row])))
-        at = row if whole else 0
-        pose = se2.compose(self._sides.copies[copy], bank.poses[at])
-        if whole:
+        if self._config.mixture.whole_covariance:
+            bank = self._moved(self._bank)
+            pose = se2.compose(self._sides.copies[copy], bank.poses[row])
             return Estimate(self._now_ns, pose, report.covariance_about(pose, bank, self._sides))
-        return Estimate(self._now_ns, pose, se2.rotate_covariance(bank.covariances[at, :3, :3], pose[2]))
+        pose, covariance = self._bank.poses[row], self._bank.covariances[row, :3, :3]
+        if self._pending is not STANDSTILL:
+            pose, covariance = self._bank.moved_one(row, self._pending)
+        if copy:
+            pose = se2.compose(self._sides.copies[copy], pose)
+        return Estimate(self._now_ns, pose, se2.rotate_covariance(covariance, pose[2]))
 
     def ambiguity(self) -> Ambiguity | None:
         if not len(self._bank):
@@ -272,13 +275,15 @@ class MixtureFilter:
             self._watch.recovered(self._now_ns)
         if started or bank.found[row]:
             bank.found[:] = 0
-        if bank.log_weights.size == 1:
-            one = np.array([1.0 - np.exp(self._lost.total)])
-            self._watch.look(self._now_ns, one, self._last[None], self._lineage.tracks[0], 0.0)
-            return
-        other = report.mirrored(self._last, bank, self._sides, float(np.exp(self._lost.total)))
+        weights, lost = np.exp(bank.log_weights), float(np.exp(self._lost.total))
+        if len(bank) == 1:  # its copies are places of their own
+            other = float(weights.sum() - weights[0, copy]) + lost * (1.0 - 1.0 / len(self._sides))
+            if self._watch.knows(weights[0], self._lineage.tracks[0], float(weights[0, copy]), 1.0 - other):
+                return
+        else:
+            other = report.mirrored(self._last, bank, self._sides, lost)
         order = np.argsort(-bank.log_weights, axis=None, kind="stable")
         order = np.append(row * len(self._sides) + copy, order[order != row * len(self._sides) + copy])
         poses = self._sides.unfold(bank.poses).reshape(-1, 3)[order]
-        weights, tracks = np.exp(bank.log_weights.ravel()[order]), self._lineage.tracks.ravel()[order]
-        self._watch.look(self._now_ns, weights, poses, tracks, other)
+        tracks = self._lineage.tracks.ravel()[order]
+        self._watch.look(self._now_ns, weights.ravel()[order], poses, tracks, other)

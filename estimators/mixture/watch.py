@@ -47,6 +47,14 @@ class Watch:
         if joined := len(families) - len({row for row, _ in families}):
             self._say(stamp_ns, "merge", f"{joined + 1} places have become one")
 
+    def knows(self, weights: FloatArray, tracks: IntArray, place: float, side: float) -> bool:
+        """Whether there is nothing to say of hypotheses (n,) at n places, the best of that probability, on a side of
+        that: so it is most of the time."""
+        here = weights >= _LIKELY
+        decided = (self._place_decided and self._side_decided) if side >= _DECIDED else place >= _OPEN
+        undecided = not self._side_decided and side < _DECIDED
+        return (decided or undecided) and self._known == set(tracks[here].tolist())
+
     def look(self, stamp_ns: int, weights: FloatArray, poses: FloatArray, tracks: IntArray, other: float) -> None:
         """weights (n,), poses (n, 3) and tracks (n,) of all copies, the best one first. other: probability of the other
         sides."""
