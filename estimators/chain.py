@@ -1,17 +1,21 @@
 """The whole past of one robot: poses in a row, the motion between neighbours, the factors on each."""
 
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from estimators.motion import STANDSTILL, Increment
 from fieldloc import pose as se2
 from fieldloc.factors import Factor
+from fieldloc.mixture import IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
 
-_ANYWHERE = np.diag([100.0, 100.0, 10.0]) ** 2  # of the motion of a robot that was carried
+Factors = Callable[[int, int], tuple[Factor, ...]]
+ANYWHERE = np.diag([100.0, 100.0, 10.0]) ** 2
+"""Covariance (3, 3) of the motion of a robot that was carried."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +31,48 @@ class Chain:
     guess: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """What a chain is made of before anything is decided: n nodes, motions between them, what was seen at them.
+
+    factors: (node, factor) that are taken as they are. mixtures: (node, mixture) in order of observation.
+    """
+
+    stamps_ns: tuple[int, ...]
+    motions: tuple[Increment, ...]
+    factors: tuple[tuple[int, Factor], ...]
+    mixtures: tuple[tuple[int, MixtureFactor], ...]
+
+    def sights(self, choices: IntArray) -> list[int]:
+        """Nodes, in order, at which something was recognised that says where the robot is."""
+        chosen = zip(self.mixtures, choices.tolist(), strict=True)
+        return [node for (node, mixture), choice in chosen if choice >= 0 and not mixture.by_compass]
+
+    def between(self, choices: IntArray, node: int) -> tuple[int, int]:
+        """The nodes of the last sight before a node and of the first from it on."""
+        sights = self.sights(choices)
+        at = bisect_left(sights, node)
+        return sights[at - 1] if at > 0 else node - 1, sights[at] if at < len(sights) else node
+
+    def anchored(self, choices: IntArray, breaks: Sequence[int]) -> bool:
+        """Whether there is such a sight between any two breaks."""
+        sights = self.sights(choices)
+        edges = [bisect_left(sights, node) for node in (0, *breaks, len(self.stamps_ns))]
+        return all(begin < end for begin, end in pairwise(edges))
+
+    def chain(self, choices: IntArray, breaks: Iterable[int], guess: FloatArray, factors_of: Factors) -> Chain:
+        """choices: (t,) the solution that each mixture is taken for, -1 for none. breaks: nodes to which the robot was
+        carried. factors_of: a mixture's factors by its index and the solution."""
+        motions = list(self.motions)
+        for node in breaks:
+            motions[node - 1] = replace(motions[node - 1], covariance=ANYWHERE)
+        factors = list(self.factors)
+        for index, ((node, _), choice) in enumerate(zip(self.mixtures, choices.tolist(), strict=True)):
+            if choice >= 0:
+                factors += [(node, factor) for factor in factors_of(index, choice)]
+        return Chain(self.stamps_ns, tuple(motions), tuple(factors), guess)
+
+
 class ChainRecorder:
     """Collects a chain while motion and factors come in. Motion between nodes is added up."""
 
@@ -35,6 +81,7 @@ class ChainRecorder:
         self._stamps_ns: list[int] = []
         self._motions: list[Increment] = []
         self._factors: list[tuple[int, Factor]] = []
+        self._mixtures: list[tuple[int, MixtureFactor]] = []
         self._guess: list[FloatArray | None] = []
         self._pending = STANDSTILL
 
@@ -47,10 +94,14 @@ class ChainRecorder:
 
     def add(self, factor: Factor, stamp_ns: int, pose: FloatArray | None) -> None:
         """A factor at a stamp that `advance` has reached."""
-        if not self._stamps_ns or stamp_ns > self._stamps_ns[-1]:
-            self._node(stamp_ns, pose)
-        self._guess[-1] = pose
-        self._factors.append((len(self._stamps_ns) - 1, factor))
+        self._factors.append((self._node_at(stamp_ns, pose), factor))
+
+    def observe(self, mixture: MixtureFactor, stamp_ns: int) -> None:
+        """A mixture at a stamp that `advance` has reached."""
+        self._mixtures.append((self._node_at(stamp_ns, None), mixture))
+
+    def recorded(self) -> Recorded:
+        return Recorded(tuple(self._stamps_ns), tuple(self._motions), tuple(self._factors), tuple(self._mixtures))
 
     def chain(self, carried_ns: Iterable[tuple[int, int]] = ()) -> Chain | None:
         """None while no pose is known. Before the first known pose the guess goes back along the motion.
@@ -71,11 +122,17 @@ class ChainRecorder:
             since, found = bisect_left(self._stamps_ns, since_ns), bisect_left(self._stamps_ns, found_ns)
             backwards.append((since, min(found, len(guess) - 1)))
             if since > 0:
-                motions[since - 1] = replace(motions[since - 1], covariance=_ANYWHERE)
+                motions[since - 1] = replace(motions[since - 1], covariance=ANYWHERE)
         for start, end in backwards:
             for k in reversed(range(start, end)):
                 guess[k] = se2.compose(guess[k + 1], se2.inverse(self._motions[k].before_from_after))
         return Chain(tuple(self._stamps_ns), tuple(motions), tuple(self._factors), np.array(guess))
+
+    def _node_at(self, stamp_ns: int, pose: FloatArray | None) -> int:
+        if not self._stamps_ns or stamp_ns > self._stamps_ns[-1]:
+            self._node(stamp_ns, pose)
+        self._guess[-1] = pose
+        return len(self._stamps_ns) - 1
 
     def _node(self, stamp_ns: int, pose: FloatArray | None) -> None:
         if self._stamps_ns:

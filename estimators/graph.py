@@ -3,7 +3,8 @@
 Native factors only: one Python factor makes the optimiser's time grow with the square of the number of poses. What
 gtsam has no factor for enters the linearised graph by hand, in the steps that follow the optimiser's: the calibration
 as columns more, so that each step solves for poses and calibration together and the marginals know that it is not known
-exactly; and lines of one direction, which the optimiser knows only as poses that are free along the line.
+exactly; lines of one direction, which the optimiser knows only as poses that are free along the line; and the compass
+with its offset.
 """
 
 import threading
@@ -15,7 +16,8 @@ import gtsam
 import numpy as np
 
 from estimators.chain import Chain
-from estimators.config import Calibration, Config, Graph
+from estimators.compass_offsets import CompassOffsets
+from estimators.config import Config
 from estimators.motion import OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
@@ -24,8 +26,9 @@ from fieldloc.pose import FloatArray
 _STACK_BYTES = 512 * 1024 * 1024  # elimination recurses: 90,000 poses overflow the usual 8 MB; only touched pages count
 _MAX_STEPS = 10
 _CONVERGED = 1e-5  # relative change of the graph's error
-# a robot that stands still for a moment moves less; gtsam takes a system with much smaller ones for indeterminate
-_MOTION_FLOOR = np.diag([1e-4, 1e-4, 1e-4]) ** 2
+MOTION_FLOOR = np.diag([1e-4, 1e-4, 1e-4]) ** 2
+"""(3, 3) added to each motion's covariance. A robot that stands still for a moment moves less; gtsam takes a system
+with much smaller ones for indeterminate."""
 _WEAK_SIGMAS = np.array([100.0, 100.0, 10.0])  # keeps a chain determined whose factors leave a direction free
 
 
@@ -36,57 +39,85 @@ class Solution:
     poses: FloatArray
     covariances: FloatArray
     calibration: OdometryCalibration
+    compass_rad: FloatArray
+    compass_variance_rad2: FloatArray
+    """Both (k,): the compass' offset over time, a value each `compass_offsets.knot_s` from the chain's start on; none
+    without a compass."""
+    log_determinant: float
+    """Of the information about poses, calibration and offsets together, robust weights and weak priors included."""
 
 
-def solve(chain: Chain, config: Config) -> Solution:
-    """The most probable poses given all factors, each with its marginal covariance."""
-    return _with_big_stack(lambda: _Problem(chain, config.graph, config.calibration).solve())
+def solve(chain: Chain, config: Config, near: Solution | None = None) -> Solution:
+    """The most probable poses given all factors, each with its marginal covariance.
+
+    near: an earlier solution of almost the same chain, whose poses are the chain's guess: it saves the search.
+    """
+    return _with_big_stack(lambda: _Problem(chain, config, near).solve())
 
 
 class _Problem:
-    """The poses have the keys 0 to n - 1, the free part of the calibration has n."""
+    """The poses have the keys 0 to n - 1, the free part of the calibration n, the compass' offsets the rest."""
 
-    def __init__(self, chain: Chain, config: Graph, calibration: Calibration) -> None:
-        self._chain = chain
+    def __init__(self, chain: Chain, config: Config, near: Solution | None) -> None:
+        self._chain, self._near = chain, near
         self._count = len(chain.stamps_ns)
-        sigmas = calibration.sigmas()
+        sigmas = config.calibration.sigmas()
         self._free = sigmas > 0.0
         self._prior_weights = 1.0 / sigmas[self._free]
         self._between = np.array([motion.before_from_after for motion in chain.motions]).reshape(-1, 3)
         self._by_calibration = np.array([motion.by_calibration for motion in chain.motions]).reshape(-1, 3, 6)
-        covariances = np.array([motion.covariance for motion in chain.motions]).reshape(-1, 3, 3) + _MOTION_FLOOR
+        covariances = np.array([motion.covariance for motion in chain.motions]).reshape(-1, 3, 3) + MOTION_FLOOR
         self._roots = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariances)), -1, -2)
         self._motion_noise = [gtsam.noiseModel.Gaussian.SqrtInformation(root, False) for root in self._roots]
-        self._cauchy = config.cauchy
+        self._cauchy = config.graph.cauchy
+        self._compass = CompassOffsets(chain, config.compass, self._count + 1)
         self._lines = [(node, factor) for node, factor in chain.factors if isinstance(factor, LineFactor)]
-        self._unary = _unary(chain, config.cauchy)
+        self._unary = _unary(chain, config.graph.cauchy)
 
     def solve(self) -> Solution:
-        calibration = np.zeros(6)
-        graph = self._graph(calibration)
-        with_lines = gtsam.NonlinearFactorGraph(graph)
-        for node, line in self._lines:
-            with_lines.add(_anchored(node, line, self._chain.guess[node], self._cauchy))
-        optimizer = gtsam.LevenbergMarquardtOptimizer(with_lines, _values(self._chain.guess))
-        values = optimizer.optimize()
-        if not np.isfinite(optimizer.error()):
-            raise ValueError("the graph's error is not finite: a factor holds a value that is not")
-        error = self._error(graph, values, calibration)
-        for _ in range(_MAX_STEPS if self._free.any() or self._lines else 0):
-            step = self._linear(graph, values, calibration).optimize()
+        calibration, offsets = np.zeros(6), np.zeros(self._compass.count)
+        if self._near is None:
+            graph = self._graph(calibration)
+            values = self._searched(graph)
+        else:
+            calibration[:] = self._near.calibration
+            offsets[:] = self._near.compass_rad if len(offsets) == len(self._near.compass_rad) else 0.0
+            graph, values = self._graph(calibration), _values(self._chain.guess)
+        steps = self._near is not None or self._free.any() or self._lines or len(offsets)
+        error = self._error(graph, values, calibration, offsets)
+        for _ in range(_MAX_STEPS if steps else 0):
+            step = self._linear(graph, values, calibration, offsets).optimize()
             if self._free.any():
                 calibration[self._free] += step.at(self._count)
+            offsets += self._compass.step(step)
             values = values.retract(_poses_only(step, self._count))
             graph = self._graph(calibration)
-            before, error = error, self._error(graph, values, calibration)
+            before, error = error, self._error(graph, values, calibration, offsets)
             if abs(before - error) <= _CONVERGED * error:
                 break
-        tree = self._linear(graph, values, calibration).eliminateMultifrontal()
+        if not np.isfinite(error):
+            raise ValueError("the graph's error is not finite: a factor holds a value that is not")
+        tree = self._linear(graph, values, calibration, offsets).eliminateMultifrontal()
         return Solution(
             np.array([_pose(values, k) for k in range(self._count)]),
             np.array([tree.marginalCovariance(k) for k in range(self._count)]),
             OdometryCalibration(*calibration.tolist()),
+            offsets,
+            self._compass.variances(tree),
+            2.0 * tree.logDeterminant(),
         )
+
+    def _searched(self, graph: gtsam.NonlinearFactorGraph) -> gtsam.Values:
+        """The optimiser's answer from the chain's guess, with stand-ins for what it has no factors for."""
+        whole = gtsam.NonlinearFactorGraph(graph)
+        for node, line in self._lines:
+            whole.add(_anchored(node, line, self._chain.guess[node], self._cauchy))
+        self._compass.stand_in(whole, self._cauchy)
+        optimizer = gtsam.LevenbergMarquardtOptimizer(whole, _values(self._chain.guess))
+        values = optimizer.optimize()
+        if not np.isfinite(optimizer.error()):
+            raise ValueError("the graph's error is not finite: a factor holds a value that is not")
+        return values
 
     def _graph(self, calibration: FloatArray) -> gtsam.NonlinearFactorGraph:
         """The motions first, in the chain's order, then all else that gtsam has a factor for."""
@@ -97,16 +128,18 @@ class _Problem:
         graph.push_back(self._unary)
         return graph
 
-    def _error(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, calibration: FloatArray) -> float:
+    def _error(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, calibration: FloatArray, offsets: FloatArray
+    ) -> float:
         prior = 0.5 * float(np.sum((calibration[self._free] * self._prior_weights) ** 2))
         squares = np.array([np.sum(_whitened(line, _pose(values, node))[0] ** 2) for node, line in self._lines])
         lines = 0.5 * self._cauchy**2 * float(np.sum(np.log1p(squares / self._cauchy**2)))
-        return float(graph.error(values)) + prior + lines
+        return float(graph.error(values)) + prior + lines + self._compass.error(values, offsets, self._cauchy)
 
     def _linear(
-        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, calibration: FloatArray
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, calibration: FloatArray, offsets: FloatArray
     ) -> gtsam.GaussianFactorGraph:
-        """Linearised at the values, with the lines, columns for the free calibration in the motions, a prior on it."""
+        """Linearised at the values, with lines, compass, columns for the free calibration in the motions, its prior."""
         linear = graph.linearize(values)
         motions = len(self._between)
         out = gtsam.GaussianFactorGraph()
@@ -125,6 +158,7 @@ class _Problem:
             residual, jacobian = _whitened(line, _pose(values, node))
             weight = 1.0 / np.sqrt(1.0 + residual @ residual / self._cauchy**2)
             out.add(gtsam.JacobianFactor(node, weight * jacobian, -weight * residual, unit))
+        self._compass.add_to(out, values, offsets, self._cauchy)
         return out
 
     def _columns(self, whitened: FloatArray, calibration: FloatArray) -> FloatArray:
@@ -139,7 +173,7 @@ class _Problem:
 
 
 def _unary(chain: Chain, cauchy: float) -> gtsam.NonlinearFactorGraph:
-    """All factors but the lines, in gtsam's own terms, which have their errors up to sign."""
+    """All factors but lines and compass, in gtsam's own terms, which have their errors up to sign."""
     graph = gtsam.NonlinearFactorGraph()
     weak = gtsam.noiseModel.Diagonal.Sigmas(_WEAK_SIGMAS)
     graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*chain.guess[0]), weak))
@@ -151,11 +185,11 @@ def _unary(chain: Chain, cauchy: float) -> gtsam.NonlinearFactorGraph:
             case LandmarkFactor():
                 noise = _robust(gtsam.noiseModel.Gaussian.Covariance(factor.covariance), cauchy)
                 graph.add(gtsam.KnownLandmarkFactorPose2(node, factor.landmark, factor.seen, noise))
+            case HeadingFactor(by_compass=True) | LineFactor():
+                pass
             case HeadingFactor():
                 noise = _robust(gtsam.noiseModel.Gaussian.Covariance(factor.covariance), cauchy)
                 graph.add(gtsam.PoseRotationPrior2D(node, gtsam.Rot2(factor.heading_rad), noise))
-            case LineFactor():
-                pass
             case _:
                 raise TypeError(f"no native factor for {type(factor).__name__}")
     return graph

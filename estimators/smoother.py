@@ -1,66 +1,181 @@
-"""The batch smoother: an EKF goes ahead to find the start and the way, then one solution for the whole past."""
+"""The batch smoother: a filter goes ahead to find the start and the way, then one solution for the whole past."""
 
-from estimators.base import Estimate, Innovation
-from estimators.chain import ChainRecorder
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimators.base import Ambiguity, Estimate, Event, Hypothesis, Innovation
+from estimators.chain import ChainRecorder, Recorded
 from estimators.config import Config
 from estimators.ekf import Ekf
 from estimators.graph import Solution, solve
+from estimators.mixture.filter import MixtureFilter
+from estimators.mixture.lost import UNKNOWN
+from estimators.modes import ModeSequence
 from estimators.motion import HeldVelocity
+from estimators.resolution import Resolution
+from estimators.resolve import resolve
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.measurements import Odometry
+from fieldloc.mixture import MixtureFactor
+from fieldloc.regions import Region
+from fieldloc.solution_mixture import SolutionMixture
+from fieldloc.stacks import PoseStack
+
+_READINGS = 16
+_TOLD_WRONG = 0.05
 
 
 class Smoother:
-    """Online it answers as the EKF does; `trajectory` looks back with all that is known by then."""
+    """Online it answers as a filter does; `trajectory` looks back with all that is known by then.
+
+    The filter is the EKF as long as all factors are plain ones, the bank of hypotheses from the first region or mixture
+    on. What was told as a start is a factor like others then: it can be wrong.
+    """
 
     def __init__(self, config: Config) -> None:
         self._config = config
         self._ahead = Ekf(config)
+        self._bank: MixtureFilter | None = None
+        self._region = UNKNOWN
+        self._told: Estimate | None = None
+        self._odometry: Odometry | None = None
         self._motion = HeldVelocity(config.motion)
         self._recorder = ChainRecorder(config.graph.node_interval_s)
+        self._ambiguity: Ambiguity | None = None
         self.solution: Solution | None = None
         """Of the last call of `trajectory`."""
+        self.resolution: Resolution | None = None
+        """Of the last call of `trajectory`, where there were mixtures."""
 
     def start(self, estimate: Estimate) -> None:
-        self._ahead.start(estimate)
-        self._recorder = ChainRecorder(self._config.graph.node_interval_s)
-        at_ns = self._record(estimate.stamp_ns)
+        self._filter.start(estimate)
+        at_ns = self._forget(estimate.stamp_ns)
+        self._told = replace(estimate, stamp_ns=at_ns)
         told = PoseFactor(at_ns, estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
         self._recorder.add(told, at_ns, estimate.pose)
 
+    def start_in(self, region: Region, stamp_ns: int) -> None:
+        self._mixtures().start_in(region, stamp_ns)
+        self._region, self._told = region, None
+        self._forget(stamp_ns)
+
     def predict(self, odometry: Odometry) -> None:
-        self._ahead.predict(odometry)
+        self._filter.predict(odometry)
         self._record(odometry.stamp_ns)
         self._motion.hold(odometry)
+        self._odometry = odometry
 
     def advance(self, stamp_ns: int) -> None:
-        self._ahead.advance(stamp_ns)
+        self._filter.advance(stamp_ns)
         self._record(stamp_ns)
 
     def update(self, factor: Factor) -> Innovation | None:
-        innovation = self._ahead.update(factor)
+        innovation = self._filter.update(factor)
         at_ns = self._record(factor.stamp_ns)
         now = self.estimate()
         self._recorder.add(factor, at_ns, None if now is None else now.pose)
         return innovation
 
+    def observe(self, mixture: MixtureFactor) -> None:
+        self._mixtures().observe(mixture)
+        self._recorder.observe(mixture, self._record(mixture.stamp_ns))
+
     def estimate(self) -> Estimate | None:
-        return self._ahead.estimate()
+        return self._filter.estimate()
+
+    def ambiguity(self) -> Ambiguity | None:
+        """That of the whole past once `trajectory` has looked at it, until something new comes."""
+        if self._ambiguity is not None:
+            return self._ambiguity
+        if self._bank is not None:
+            return self._bank.ambiguity()
+        now = self.estimate()
+        return (
+            None if now is None else Ambiguity(now.stamp_ns, (Hypothesis(1.0, now.pose, now.covariance, 0),), 0.0, 0.0)
+        )
+
+    @property
+    def events(self) -> Sequence[Event]:
+        return () if self._bank is None else self._bank.events
 
     def trajectory(self) -> tuple[Estimate, ...]:
-        """An estimate per node of the chain; none while the EKF has found no start."""
-        chain = self._recorder.chain(self._ahead.carried_ns)
-        if chain is None:
-            return ()
-        self.solution = solve(chain, self._config)
+        """An estimate per node of the chain; none while no start has been found."""
+        recorded = self._recorder.recorded()
+        self.resolution = None
+        if recorded.mixtures and self._bank is not None:
+            recorded, sequences = self._with_start(recorded, self._bank.sequences(_READINGS))
+            told = None if self._told is None else 0
+            self.resolution = resolve(recorded, sequences, self._region, told, self._config)
+        if self.resolution is not None:
+            self.solution = self.resolution.solution
+        else:
+            chain = self._recorder.chain(self._ahead.carried_ns)
+            if chain is None:
+                return ()
+            self.solution = solve(chain, self._config)
         covariances = se2.rotate_covariance(self.solution.covariances, self.solution.poses[:, 2])
-        return tuple(map(Estimate, chain.stamps_ns, self.solution.poses, covariances))
+        out = tuple(map(Estimate, recorded.stamps_ns, self.solution.poses, covariances))
+        if self.resolution is not None:
+            self._ambiguity = self.resolution.ambiguity(out[-1].stamp_ns)
+        return out
+
+    @property
+    def _filter(self) -> Ekf | MixtureFilter:
+        return self._ahead if self._bank is None else self._bank
+
+    def _mixtures(self) -> MixtureFilter:
+        """The bank of hypotheses, which goes on from the EKF where that has been ahead so far."""
+        self._ambiguity = None
+        if self._bank is None:
+            now = self._ahead.estimate()
+            self._bank = MixtureFilter(self._config, remember=True)
+            if self._odometry is not None:
+                self._bank.predict(self._odometry)
+            if now is not None:
+                self._bank.start(now)
+        return self._bank
+
+    def _forget(self, stamp_ns: int) -> int:
+        """All that was recorded; the stamp that is reached."""
+        self._recorder = ChainRecorder(self._config.graph.node_interval_s)
+        return self._record(stamp_ns)
 
     def _record(self, stamp_ns: int) -> int:
         """Up to the stamp; the stamp that is reached, later than a stamp that runs backwards."""
+        self._ambiguity = None
         motion = self._motion.advance(stamp_ns)
         at_ns = stamp_ns if self._motion.stamp_ns is None else self._motion.stamp_ns
-        now = self.estimate()
+        now = None if self._bank is not None else self.estimate()
         self._recorder.advance(at_ns, motion, None if now is None else now.pose)
         return at_ns
+
+    def _with_start(
+        self, recorded: Recorded, sequences: tuple[ModeSequence, ...]
+    ) -> tuple[Recorded, tuple[ModeSequence, ...]]:
+        """What was told as the start as a mixture, which can be wrong, in place of the first factor."""
+        # what was observed before anything was known is in no reading
+        sequences = tuple(_later(one, len(recorded.mixtures) - len(one.choices), -1) for one in sequences)
+        if self._told is None:
+            return recorded, sequences
+        pose = self._told.pose[None]
+        stack = PoseStack(pose, se2.rotate_covariance(self._told.covariance[None], -pose[:, 2]))
+        log_volume = self._region.log_volume
+        told = SolutionMixture(
+            self._told.stamp_ns,
+            ((stack, np.log1p([-_TOLD_WRONG])),),
+            float(np.log(_TOLD_WRONG)) - log_volume,
+            symmetric=not len(self._region.symmetries),
+            area_m2=float(np.exp(log_volume)) / (2 * np.pi),
+        )
+        mixtures = ((recorded.factors[0][0], told), *recorded.mixtures)
+        recorded = replace(recorded, factors=recorded.factors[1:], mixtures=mixtures)
+        return recorded, tuple(_later(one, 1, 0) for one in sequences)
+
+
+def _later(sequence: ModeSequence, by: int, choice: int) -> ModeSequence:
+    """The reading with more observations before it, all of them the same choice."""
+    choices = np.concatenate([np.full(by, choice, dtype=np.intp), sequence.choices])
+    return replace(sequence, choices=choices, births=tuple(birth + by for birth in sequence.births))

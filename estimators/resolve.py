@@ -1,0 +1,188 @@
+"""The discrete choices of a whole log, resolved: where the robot was, on which side, what it saw, when it was carried.
+
+The forward filter's best readings say where the robot may have been. Each such place is followed through the whole
+log, forwards and backwards, on each copy of the field; the likeliest ways over these tracks are solved as wholes and
+compared by their evidence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from estimators.chain import Recorded
+from estimators.config import Config
+from estimators.copies import Moved
+from estimators.joint import Settled, log_evidence, settle
+from estimators.mixture.lost import Lost
+from estimators.modes import ModeSequence
+from estimators.resolution import Resolution
+from estimators.seeds import on_copies, seeds, whole_poses
+from estimators.stretches import Story, stories
+from estimators.tracks import Seed, Tracks, follow
+from fieldloc import pose as se2
+from fieldloc.pose import FloatArray
+from fieldloc.regions import Region
+
+_MAX_PLACES = 8
+_MAX_BREAKS = 4
+_MAX_CANDIDATES = 5
+_UNLIKELY = 20.0  # stories that are so much (log) less likely than the best by their tracks are not solved
+_ALIKE = 0.02  # a log's stories that differ in fewer of their choices, and in no break, are one when solved
+_EXACTLY = 1e-3  # m, rad: places that are each other's copies, on each other's copies
+_MAX_WAYS = 20
+_TOLD_WRONG = np.log(0.01)  # that the robot does not start where it was told
+_NO_KERNEL = 1e6  # scale, in sigmas, of a robust kernel that does nothing
+_SPREAD = np.sqrt(3.0) * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+
+
+def resolve(
+    recorded: Recorded, sequences: Sequence[ModeSequence], region: Region, told: int | None, config: Config
+) -> Resolution | None:
+    """sequences: readings of all recorded mixtures. region: where it began; its symmetries are the field's. told: index
+    of the mixture that says where it began, where a pose was told.
+
+    None where no mixture holds a whole pose.
+    """
+    places = seeds(recorded, sequences, told, _MAX_PLACES) or whole_poses(recorded, _MAX_PLACES)
+    if not places:
+        return None
+    first = sequences[0].copy if sequences else 0  # of copies that nothing tells apart, the one reported all along
+    copies = np.concatenate([np.zeros((1, 3)), region.symmetries])
+    copies = copies[np.argsort(np.arange(len(copies)) != first, kind="stable")]
+    tracks, begun = _followed(recorded, places, copies, config)
+    anywhere = Lost.within(region, 0.0).anywhere
+    log_start = np.array(
+        [
+            _log_start(region, anywhere, se2.compose(seed.copy, pose[0]), covariance)
+            for seed, pose, covariance in zip(begun, tracks.poses, tracks.start_covariances, strict=True)
+        ]
+    )
+    log_kidnap = float(np.log(config.mixture.kidnaps_per_min / 60.0)) - anywhere.log_volume
+    ways = [
+        story
+        for story in stories(recorded, tracks, log_start, log_kidnap, _MAX_BREAKS)
+        if recorded.anchored(story.choices, story.breaks)
+    ]
+    ways = _distinct(ways, np.array([seed.copy for seed in begun]), len(copies))
+    if not ways:
+        return None
+    plain = replace(config, graph=replace(config.graph, cauchy=_NO_KERNEL))
+    logs = [_on_field(recorded, story, begun) for story in ways]
+    settled, evidence = [], []
+    for log, story in logs if len(logs) > 1 else ():
+        one = settle(log, story, plain)
+        begins = _log_start(region, anywhere, one.solution.poses[0], one.solution.covariances[0])
+        settled.append(one)
+        evidence.append(log_evidence(log, one, plain, log_kidnap) + begins)
+    best = int(np.argmax(evidence)) if evidence else 0
+    log, story = logs[best]
+    if settled:
+        near = settled[best]
+        story = replace(story, choices=near.choices, margins=near.margins, poses=near.solution.poses)
+        answer = settle(log, story, config, near.solution)
+    else:
+        answer = settle(log, story, config)
+        settled, evidence = [answer], [0.0]
+    stamps_ns = recorded.stamps_ns
+    order, log_evidences = _ranked(settled, np.array(evidence), best)
+    return Resolution(
+        answer.solution,
+        answer.choices,
+        tuple(sum(stamps_ns[k] for k in recorded.between(answer.choices, node)) // 2 for node in answer.breaks),
+        tuple(settled[i] for i in order),
+        log_evidences,
+        np.exp(log_evidences - np.logaddexp.reduce(log_evidences)),
+        *_copies(recorded, ways[best], tracks, log_start, copies),
+    )
+
+
+def _followed(
+    recorded: Recorded, places: tuple[Seed, ...], copies: FloatArray, config: Config
+) -> tuple[Tracks, tuple[Seed, ...]]:
+    """Tracks from all places on all copies. Where nothing tells sides apart, copies are only written down."""
+    everywhere = on_copies(places, recorded, copies)
+    if not all(mixture.symmetric for _, mixture in recorded.mixtures):
+        return follow(recorded, everywhere, config), everywhere
+    once = follow(recorded, places, config)
+    each = np.repeat(np.arange(len(places)), len(copies))
+    columns = (
+        once.log_evidence[each],
+        once.choices[each],
+        once.margins[each],
+        once.poses[each],
+        once.start_covariances[each],
+    )
+    return Tracks(*columns), everywhere
+
+
+def _log_start(region: Region, anywhere: Region, pose: FloatArray, covariance: FloatArray) -> float:
+    """Logarithm of the prior density of a first pose (3,) known up to a covariance (3, 3), robot frame."""
+    at = se2.retract(pose, _SPREAD @ np.linalg.cholesky(covariance).T)
+    told = float(np.logaddexp.reduce(region.log_density(at)) - np.log(len(at)))
+    return float(np.logaddexp(np.log1p(-np.exp(_TOLD_WRONG)) + told, _TOLD_WRONG - anywhere.log_volume))
+
+
+def _distinct(ways: list[Story], copy_of: FloatArray, copies: int) -> list[Story]:
+    """The likely ones that differ in more than in copies, and in more than what solving them puts right.
+
+    copy_of: (k, 3) of each track.
+    """
+    out: list[Story] = []
+    for story in ways[:_MAX_WAYS]:
+        if story.log_worth < ways[0].log_worth - _UNLIKELY or len(out) >= _MAX_CANDIDATES:
+            break
+        poses = se2.compose(copy_of[story.tracks], story.poses)
+        for other in out:
+            differing = int(np.count_nonzero(story.choices != other.choices))
+            apart = np.abs(se2.local(poses, se2.compose(copy_of[other.tracks], other.poses)))
+            alike = (
+                differing <= _ALIKE * len(story.choices)
+                or (story.tracks // copies == other.tracks // copies).all()
+                or bool((apart < _EXACTLY).all())
+            )
+            if story.breaks == other.breaks and alike:
+                break
+        else:
+            out.append(story)
+    return out
+
+
+def _on_field(recorded: Recorded, story: Story, begun: tuple[Seed, ...]) -> tuple[Recorded, Story]:
+    """The log and the story with all mixtures as they are on the copies of the field that the story is about."""
+    copies = np.array([seed.copy for seed in begun])[story.tracks]
+    mixtures = tuple(
+        (node, Moved(mixture, copies[node]) if mixture.symmetric and copies[node].any() else mixture)
+        for node, mixture in recorded.mixtures
+    )
+    return replace(recorded, mixtures=mixtures), replace(story, poses=se2.compose(copies, story.poses))
+
+
+def _ranked(settled: list[Settled], evidence: FloatArray, best: int) -> tuple[list[int], FloatArray]:
+    """Rows of different readings, the best first, and their evidence."""
+    out: list[int] = []
+    for i in np.argsort(-evidence, kind="stable").tolist():
+        same = (
+            settled[i].breaks == settled[j].breaks and (settled[i].choices == settled[j].choices).all() for j in out
+        )
+        if not any(same):
+            out.append(i)
+    return out, evidence[out]
+
+
+def _copies(
+    recorded: Recorded, story: Story, tracks: Tracks, log_start: FloatArray, copies: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Of each stretch, the story's copy first: (s, k) probabilities and (s, k, 3) the ways there from the story's."""
+    nodes = np.array([node for node, _ in recorded.mixtures])
+    probabilities, moves = [], []
+    for begin, end in pairwise([0, *story.breaks, len(recorded.stamps_ns)]):
+        place, copy = divmod(int(story.tracks[begin]), len(copies))
+        rows = np.arange(place * len(copies), (place + 1) * len(copies))
+        within = (nodes >= begin) & (nodes < end)
+        worth = tracks.log_evidence[rows][:, within].sum(axis=1) + (log_start[rows] if begin == 0 else 0.0)
+        order = np.argsort(np.arange(len(copies)) != copy, kind="stable")
+        probabilities.append(np.exp(worth - np.logaddexp.reduce(worth))[order])
+        moves.append(se2.compose(copies[order], se2.inverse(copies[copy])))
+    return np.array(probabilities), np.array(moves)

@@ -1,0 +1,210 @@
+"""Robots followed through a whole log, forwards and backwards, each from one place where it may have been.
+
+A track is one extended Kalman filter that takes of each mixture the solution that fits it best, or none. All tracks
+move and see at once (stacked arrays). Its states are pose, compass offset and the odometry's calibration.
+
+Poses are those of symmetric mixtures. What tells sides apart is asked at the track's copy under the map's symmetries:
+steps and covariances, being in the robot frame, are the same for both.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimators.chain import Recorded
+from estimators.config import Config
+from estimators.motion import Increment
+from fieldloc import pose as se2
+from fieldloc.mixture import Expansion, IntArray, MixtureFactor
+from fieldloc.pose import FloatArray
+
+NO_HINT = -2
+_OFFSET = 3
+_CALIBRATION = slice(4, 10)
+_STATES = 10
+_HINT_WORTH = 10.0  # a hint is followed while it is at most so much (log) less likely than the best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seed:
+    """Where a track begins: a whole pose (3,) with covariance (3, 3), robot frame, from the mixture of index `at`.
+
+    copy: (3,) the symmetry that takes it to where the robot is, zero for none. log_weight: log of the integral over
+    poses of that mixture's solution. hints: (t,) solutions to prefer, of each mixture, -1 for none of them, NO_HINT
+    where the track decides.
+    """
+
+    at: int
+    node: int
+    choice: int
+    pose: FloatArray
+    covariance: FloatArray
+    copy: FloatArray
+    log_weight: float
+    hints: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracks:
+    """k tracks through t mixtures and n nodes.
+
+    log_evidence: (k, t) of each mixture in the light of what lies between it and the seed, all of its solutions and the
+    outlier together. choices: (k, t) solutions taken, -1 for none; margins: by how much (log)
+    each was better than the next. poses: (k, n, 3). start_covariances: (k, 3, 3) of
+    the poses at the first node, robot frame.
+    """
+
+    log_evidence: FloatArray
+    choices: IntArray
+    margins: FloatArray
+    poses: FloatArray
+    start_covariances: FloatArray
+
+
+def follow(recorded: Recorded, seeds: tuple[Seed, ...], config: Config) -> Tracks:
+    sweep = _Sweep(recorded, seeds, config)
+    nodes = len(recorded.stamps_ns)
+    sweep.run(range(min(seed.node for seed in seeds), nodes), forwards=True)
+    sweep.begin_again()
+    sweep.run(range(max(seed.node for seed in seeds), -1, -1), forwards=False)
+    return Tracks(sweep.log_evidence, sweep.choices, sweep.margins, sweep.poses, sweep.covariance[:, :3, :3])
+
+
+class _Sweep:
+    def __init__(self, recorded: Recorded, seeds: tuple[Seed, ...], config: Config) -> None:
+        self._recorded, self._seeds, self._compass = recorded, seeds, config.compass
+        tracks, nodes, mixtures = len(seeds), len(recorded.stamps_ns), len(recorded.mixtures)
+        self._hints = np.array([seed.hints for seed in seeds]).reshape(tracks, mixtures)
+        self._copies = np.array([seed.copy for seed in seeds])
+        self._at_node: dict[int, list[int]] = {}
+        for index, (node, _) in enumerate(recorded.mixtures):
+            self._at_node.setdefault(node, []).append(index)
+        self._begins: dict[int, list[int]] = {}
+        for track, seed in enumerate(seeds):
+            self._begins.setdefault(seed.node, []).append(track)
+        self.log_evidence = np.zeros((tracks, mixtures))
+        self.margins = np.zeros((tracks, mixtures))
+        self.choices = np.full((tracks, mixtures), -1, dtype=np.intp)
+        self.poses = np.zeros((tracks, nodes, 3))
+        self._pose = np.zeros((tracks, 3))
+        self._rest = np.zeros((tracks, _STATES - 3))  # offset and calibration
+        self._alive = np.zeros(tracks, dtype=bool)
+        prior = np.concatenate([np.ones(3), [config.compass.offset_sigma_rad], config.calibration.sigmas()]) ** 2
+        self.covariance = np.tile(np.diag(prior), (tracks, 1, 1))
+
+    def begin_again(self) -> None:
+        """From the seeds, with what has been learnt of the odometry. The compass' offset is another one by then."""
+        self._alive[:] = False
+        self._rest[:, 0] = 0.0
+        self.covariance[:, _OFFSET] = self.covariance[:, :, _OFFSET] = 0.0
+        self.covariance[:, _OFFSET, _OFFSET] = self._compass.offset_sigma_rad**2
+        self.covariance[:, :3] = 0.0
+        self.covariance[:, :, :3] = 0.0
+
+    def run(self, nodes: range, forwards: bool) -> None:
+        motions, stamps_ns = self._recorded.motions, self._recorded.stamps_ns
+        for node in nodes:
+            if self._alive.any():
+                before = node - 1 if forwards else node
+                elapsed_s = (stamps_ns[before + 1] - stamps_ns[before]) * 1e-9
+                self._move(motions[before], elapsed_s, forwards)
+            begin = self._begins.get(node, [])
+            for track in begin:
+                self._begin(track)
+            at = self._at_node.get(node, [])
+            for index in at if forwards else reversed(at):
+                fresh = [t for t in begin if (index <= self._seeds[t].at if forwards else index >= self._seeds[t].at)]
+                self._see(index, np.setdiff1d(np.flatnonzero(self._alive), fresh))
+            alive = self._alive
+            self.poses[alive, node] = self._pose[alive]
+
+    def _begin(self, track: int) -> None:
+        seed = self._seeds[track]
+        self._alive[track] = True
+        self._pose[track] = seed.pose
+        self.covariance[track, :3] = 0.0
+        self.covariance[track, :, :3] = 0.0
+        self.covariance[track, :3, :3] = seed.covariance
+        self.log_evidence[track, seed.at] = seed.log_weight
+        self.choices[track, seed.at] = seed.choice
+
+    def _move(self, motion: Increment, elapsed_s: float, forwards: bool) -> None:
+        moved = se2.retract(motion.before_from_after, self._rest[:, 1:] @ motion.by_calibration.T)
+        carry = np.tile(np.eye(_STATES), (len(moved), 1, 1))
+        back = se2.inverse(moved)
+        if forwards:
+            self._pose = se2.compose(self._pose, moved)
+            carry[:, :3, :3] = se2.adjoint(back)
+            carry[:, :3, _CALIBRATION] = motion.by_calibration
+            noise = np.broadcast_to(motion.covariance, (len(moved), 3, 3))
+        else:  # before = after exp(-error) moved^-1
+            self._pose = se2.compose(self._pose, back)
+            there = se2.adjoint(moved)
+            carry[:, :3, :3] = there
+            carry[:, :3, _CALIBRATION] = -there @ motion.by_calibration
+            noise = there @ motion.covariance @ np.swapaxes(there, -1, -2)
+        keep, gained = self._compass.wander(elapsed_s)
+        carry[:, _OFFSET, _OFFSET] = keep
+        self._rest[:, 0] *= keep
+        self.covariance = carry @ self.covariance @ np.swapaxes(carry, -1, -2)
+        self.covariance[:, :3, :3] += noise
+        self.covariance[:, _OFFSET, _OFFSET] += gained
+
+    def _see(self, index: int, tracks: IntArray) -> None:
+        if not len(tracks):
+            return
+        mixture: MixtureFactor = self._recorded.mixtures[index][1]
+        to_seen = np.eye(3, _STATES)
+        poses = self._pose[tracks]
+        if not mixture.symmetric:
+            poses = se2.compose(self._copies[tracks], poses)
+        if mixture.by_compass:
+            to_seen[2, _OFFSET] = 1.0
+            poses[:, 2] = se2.wrap(poses[:, 2] + self._rest[tracks, 0])
+        whole = self.covariance[tracks]
+        across = whole @ to_seen.T
+        seen = to_seen @ across
+        near = mixture.expand(poses, seen)
+        rows, margins, log_evidence = picked(near, len(tracks), mixture.log_outlier, self._hints[tracks, index])
+        self.margins[tracks, index] = margins
+        self.log_evidence[tracks, index] = log_evidence
+        self.choices[tracks, index] = np.where(rows >= 0, near.ids[rows] if len(near.ids) else -1, -1)
+        hit = np.flatnonzero(rows >= 0)
+        if not len(hit):
+            return
+        rows, across, seen = rows[hit], across[hit], seen[hit]
+        gain = np.swapaxes(np.linalg.solve(seen, np.swapaxes(across, -1, -2)), -1, -2)
+        step = (gain @ near.step[rows][:, :, None])[..., 0]
+        left = whole[hit] - gain @ (seen - near.updated[rows]) @ np.swapaxes(gain, -1, -2)
+        turn = se2.right_jacobian(step[:, :3])
+        left[:, :3] = turn @ left[:, :3]
+        left[:, :, :3] = left[:, :, :3] @ np.swapaxes(turn, -1, -2)
+        updated = tracks[hit]
+        self._pose[updated] = se2.retract(self._pose[updated], step[:, :3])
+        self._rest[updated] += step[:, 3:]
+        self.covariance[updated] = 0.5 * (left + np.swapaxes(left, -1, -2))
+
+
+def picked(
+    near: Expansion, parents: int, log_outlier: float, hints: IntArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Row of the best solution per parent (h,), -1 where none is better than the outlier; by how much (log) it beats
+    the next best; the evidence of all together.
+
+    hints: (h,) ids that are taken rather than a slightly better one.
+    """
+    rows = np.full(parents, -1, dtype=np.intp)
+    best, total = np.full(parents, log_outlier), np.full(parents, log_outlier)
+    next_best = np.full(parents, -np.inf)
+    if len(near.ids):
+        evidence = near.evidence
+        np.logaddexp.at(total, near.parent, evidence)
+        worth = evidence + np.where(near.ids == hints[near.parent], _HINT_WORTH, 0.0)
+        best[hints == -1] += _HINT_WORTH
+        for row in np.argsort(worth, kind="stable"):
+            parent = near.parent[row]
+            if worth[row] > best[parent]:
+                rows[parent], next_best[parent], best[parent] = row, best[parent], worth[row]
+            else:
+                next_best[parent] = max(next_best[parent], worth[row])
+    return rows, best - next_best - np.where(hints != NO_HINT, _HINT_WORTH, 0.0), total
