@@ -17,7 +17,7 @@ from fieldloc.pose import FloatArray
 
 GATE_SIGMAS = 4.0
 AROUND_M = 1.0  # a robot can stand so far outside of the lines
-_SURE_SHARE = 0.5  # of the gate: a line nearer than that to a map line is never left unexplained
+_SURE_SHARE = 0.5  # of the gates: a line that is nearer than that to a map line is never left unexplained
 _MOST = 1000  # places, and matches: more come only of noise as large as the gaps between the lines; then the best stay
 HASH = np.random.default_rng(1).integers(1, 2**62, 64)  # sums of these, modulo 2^64, tell rows of numbers apart
 
@@ -47,16 +47,17 @@ class LineMatcher:
         reach = GATE_SIGMAS * np.sqrt(variance)
         # where each assignment puts the robot across (t, n, m), and where along it may be then
         self._position = grid.offsets_m[:, families] - lines.distances_m[:, None]
-        inwards = lines.extents_m + (GATE_SIGMAS * lines.extents_sigma_m + tolerance_m) * np.array([1.0, -1.0])
+        slack = GATE_SIGMAS * lines.extents_sigma_m
+        self._slack = _SURE_SHARE * slack.max(axis=1)[:, None]
+        inwards = lines.extents_m + (slack + tolerance_m) * np.array([1.0, -1.0])
         self._middle = grid.middles_m[:, families] - 0.5 * (inwards[:, :1] + inwards[:, 1:])
         half = grid.halves_m[:, families] - 0.5 * (inwards[:, 1:] - inwards[:, :1])
         self._half = np.where(half >= 0.0, half, -1e9)
 
         self._count = np.bincount(families, minlength=2)
-        first = np.zeros(len(families), dtype=np.bool_)
-        order = np.argsort(variance, kind="stable")
-        for each in (0, 1):
-            first[order[families[order] == each][: unexplained + 1]] = True
+        alike = families[:, None] == families
+        # the surest so many of each direction
+        first = (alike & (variance < variance[:, None])).sum(axis=1) <= unexplained
         # family 0 says where the robot is in y, family 1 in x
         bounds = np.stack([grid.low_m, grid.high_m], axis=-1)[:, 1 - families, None]
         margin = AROUND_M + reach[:, None]
@@ -66,7 +67,7 @@ class LineMatcher:
         at, middle, wide = (a[turn, line, column] for a in (self._position, self._middle, self._half))
         apart = np.abs(self._position[turn] - at[:, None, None]) / gate[line][:, :, None]
         fits = (apart <= 1.0).astype(np.int8) + (apart <= _SURE_SHARE)
-        fits *= (families == families[line][:, None])[:, :, None]
+        fits *= alike[line][:, :, None]
         fits *= np.abs(self._middle[turn] - middle[:, None, None]) <= self._half[turn] + wide[:, None, None]
         family = families[line]
         left_out = self._count[family] - (fits > 0).any(axis=2).sum(axis=1)
@@ -94,15 +95,15 @@ class LineMatcher:
         of_y = self._families == 1
         at = np.where(of_y, self._at[y][:, None], self._at[x][:, None])
         reach = np.where(of_y, self._reach[y][:, None], self._reach[x][:, None])
-        fits *= np.abs(self._middle[turn] - at[:, :, None]) <= self._half[turn] + reach[:, :, None]
-        return self._expand(turn, fits, np.ones(len(self._families), dtype=np.bool_))
+        beyond = np.abs(self._middle[turn] - at[:, :, None]) - self._half[turn]
+        # that an end is on the map's line may turn out wrong once all lines have their say, but not if it is well on it
+        on_it = (beyond <= reach[:, :, None]).astype(np.int8) + (beyond <= -self._slack)
+        return self._expand(turn, np.minimum(fits, on_it), (0, 1))
 
     def alone(self, family: int) -> Matches:
         """With lines of that direction only explained."""
-        if len(self._families) - self._count[family] > self._unexplained:
-            return self._expand(self._turn[:0], self._fits[:0], self._families == family)
         rows = np.flatnonzero(self._family == family)
-        return self._expand(self._turn[rows], self._fits[rows], self._families == family)
+        return self._expand(self._turn[rows], self._fits[rows], (family,))
 
     def room(self, turns: _IntArray, columns: _IntArray) -> tuple[FloatArray, FloatArray]:
         """(k,) bounds of where along its lines a robot is that sees these: from x for family 0, from y for family 1."""
@@ -111,10 +112,13 @@ class LineMatcher:
         low = np.where(columns >= 0, middle - half, -np.inf).max(axis=1, initial=-np.inf)
         return low, np.where(columns >= 0, middle + half, np.inf).min(axis=1, initial=np.inf)
 
-    def _expand(self, turn: _IntArray, fits: NDArray[np.int8], tried: NDArray[np.bool_]) -> Matches:
-        """Every choice among what fits (p, n, m); a line that fits nothing well may be left unexplained."""
-        explained = fits.any(axis=2)
-        enough = explained.sum(axis=1) >= len(tried) - self._unexplained
+    def _expand(self, turn: _IntArray, fits: NDArray[np.int8], explained: tuple[int, ...]) -> Matches:
+        """Every choice among what fits (p, n, m); a line that fits nothing well may be left unexplained.
+
+        explained: the families of which not all are left.
+        """
+        count = len(self._families)
+        enough = fits.any(axis=2).sum(axis=1) >= count - self._unexplained
         turn, fits = turn[enough], fits[enough]
         quality = np.zeros((*fits.shape[:2], fits.shape[2] + 1), dtype=np.int8)
         quality[:, :, :-1] = fits
@@ -132,8 +136,11 @@ class LineMatcher:
             columns[:, line] = column
         columns[columns == fits.shape[2]] = -1
         turn = turn[parent]
-        few = (columns < 0).sum(axis=1) <= self._unexplained
-        key = (columns * HASH[np.arange(1, 1 + len(tried)) % 64]).sum(axis=1) + turn * HASH[0]
-        _, distinct = np.unique(np.where(few, key, -1), return_index=True)
-        distinct = distinct[few[distinct]]
+        left_out = columns < 0
+        good = left_out.sum(axis=1) <= self._unexplained
+        for family in explained:
+            good &= ~left_out[:, self._families == family].all(axis=1)
+        key = columns @ HASH[np.arange(1, 1 + count) % len(HASH)] + turn * HASH[0]
+        _, distinct = np.unique(np.where(good, key, -1), return_index=True)
+        distinct = distinct[good[distinct]]
         return Matches(turn[distinct], columns[distinct])

@@ -115,8 +115,8 @@ def log_clutter(lines: GroundLines) -> float:
 
 
 def unexplained_of(count: int) -> int:
-    """How many of so many lines may be none of the map's: one of two, two of five or more, never all."""
-    return min(count - 1, 1 if count < 5 else 2)
+    """How many of so many lines may be none of the map's: one, two of seven or more, never all."""
+    return min(count - 1, 1 if count < 7 else 2)
 
 
 class _Reader:
