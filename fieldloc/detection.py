@@ -6,10 +6,13 @@ from dataclasses import dataclass
 @dataclass(frozen=True, slots=True)
 class Detection:
     """post: probability that a goal post in sight and in range is seen; post_range_m: up to where that holds, beyond it
-    a post that is not seen says nothing. clutter: of a thing seen, that it is none of the map's. nothing_right: of an
-    image or scan, that nothing in it is what it seems to be."""
+    a post that is not seen says less, and at half as far again nothing. clutter: of a thing seen, that it is none of
+    the map's; false_post, false_line: the same of what an image shows, where people, circles and carpets' borders pass
+    for posts and lines. nothing_right: of an image or scan, that nothing in it is what it seems to be."""
 
     post: float = 0.7
     clutter: float = 0.02
     nothing_right: float = 0.05
     post_range_m: float = 4.5
+    false_post: float = 0.1
+    false_line: float = 0.05

@@ -1,5 +1,7 @@
 """What the lines of an image can be on the map, as anchors for its posts."""
 
+from dataclasses import replace
+
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
 from fieldloc.fixes.line_solutions import line_readings
@@ -13,7 +15,7 @@ def line_anchors(
 ) -> Anchors:
     """All whole poses, and all that lines of one direction say if those of the other are none of the map's; with
     headings within one turn only."""
-    whole, single = line_readings(lines, field, detection)
+    whole, single = line_readings(lines, field, replace(detection, clutter=detection.false_line))
     rows = one_turn(whole.poses[:, 2], turn_rad)
     stack, others = single.stack, one_turn(single.stack.heading_rad, turn_rad)
     return joined(

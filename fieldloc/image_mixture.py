@@ -39,12 +39,12 @@ def image_mixture(
     of_lines, count = (log_clutter(lines), len(lines.families)) if lines is not None else (0.0, 0)
     log_outlier = float(np.log(detection.nothing_right) + of_lines + posts.log_clutter.sum())
     # everything else begins with all posts being none of the map's
-    log_clutter_posts = len(posts) * np.log(detection.clutter) + posts.log_clutter.sum()
+    log_clutter_posts = len(posts) * np.log(detection.false_post) + posts.log_clutter.sum()
     base = float(np.log1p(-detection.nothing_right) + log_clutter_posts)
     least = log_outlier + _LOG_NEGLIGIBLE
     symmetries = field.symmetries if not posts.labelled else np.zeros((0, 3))
     turn_rad = 2 * np.pi / (1 + len(symmetries))
-    anchors = nothing(of_lines + count * float(np.log(detection.clutter)))
+    anchors = nothing(of_lines + count * float(np.log(detection.false_line)))
     if lines is not None:
         found = line_anchors(lines, field, detection, root, turn_rad)
         if len(found) and count > _MOST_FALSE_LINES:

@@ -21,9 +21,10 @@ from fieldloc.measurements import CameraMount, PostObservation
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray, wrap
 
-# What is no post of the map's stands anywhere between a metre away and infinity, evenly in inverse distance, whose
-# density is one metre then; its foot and edges are one thing within a tenth of a radian, its width anything.
-_LOG_ONE_THING = log(0.1)
+# What is no post of the map's but passes for one: anywhere in the image, its inverse distance anywhere in half of
+# 1 / m; its foot and edges are one thing within 0.02 rad, and its width is a post's within 0.3 / m of inverse distance.
+_LOG_ANYWHERE = log(0.5)
+_LOG_ONE_THING = log(0.02 * 0.3)
 _HALF_LOG_2PI = 0.5 * log(2.0 * pi)
 _BOTH = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
 
@@ -148,9 +149,9 @@ def _weighed(
     whitening *= mask[:, None, :]
     whitening *= mask[:, :, None]
     by_edges, by_foot = mask[:, 2], mask[:, 0]
-    log_clutter = -_log_width(camera) - (by_edges & by_foot) * _LOG_ONE_THING
+    log_clutter = -_log_width(camera) - _LOG_ANYWHERE - (by_edges & by_foot) * _LOG_ONE_THING
     by_mount = -whitening @ numbers.by_mount @ root
-    log_norm -= log_clutter + log(detection.clutter) - log1p(-detection.clutter) - log(detection.post)
+    log_norm -= log_clutter + log(detection.false_post) - log1p(-detection.false_post) - log(detection.post)
     fused, fused_covariance, log_rest = _fused(values, whitening, by_mount, by_foot)
     allowed = np.ones((len(values), len(field.landmarks)), dtype=np.bool_)
     for row, index in enumerate(indices):
