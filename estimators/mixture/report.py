@@ -19,8 +19,11 @@ def best(bank: Bank, sides: Sides, last: FloatArray | None) -> tuple[int, int]:
     """Row and copy of the likeliest at the likeliest place, as several may be at one place; of those that are equally
     likely, the nearest to the last estimate (3,)."""
     weights = bank.log_weights
-    if weights.size == 1:
-        return 0, 0
+    if len(bank) == 1:
+        alike = np.flatnonzero(weights[0] >= weights[0].max() - _TIE)
+        if len(alike) == 1 or last is None:
+            return 0, int(alike[0])
+        return 0, int(alike[np.argmin(distance(sides.unfold(bank.poses)[0, alike], last))])
     rows, copies = np.nonzero(weights >= weights.max() - _MINOR)
     poses = se2.compose(sides.copies[copies], bank.poses[rows])
     there = distance(poses[:, None], poses) < _PLACE_M
