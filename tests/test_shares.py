@@ -1,6 +1,7 @@
 """The hypotheses of a run as arrays to be drawn, and the report's picture of them."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,10 +22,12 @@ from logs.reader import LogFile
 from logs.replay import load_recording, replay
 from logs.report import write_report
 from logs.report.hypotheses_picture import hypotheses_picture
-from logs.results import metrics_document
+from logs.report.moments import moments, span_ns
+from logs.results import RunResult, metrics_document
 from logs.shares import COLOURS, shares
 from logs.table import log_table
 from logs.table_text import format_table
+from logs.trajectory import Trajectory
 
 SECOND = 10**9
 TENTH = SECOND // 10
@@ -150,10 +153,22 @@ def test_hypotheses_are_in_the_report_of_a_comparison_and_of_its_file(tmp_path: 
         assert (tmp_path / name / "yard-minds-hypotheses.png").exists()
         assert not (tmp_path / name / "yard-ekf-hypotheses.png").exists()
         assert page.count("minds: hypotheses over time") == 2  # alt text and caption
+        assert page.count("<summary>minds: 2 moments</summary>") == page.count("<summary>") == 1
+        assert re.search(r"<dt>\d+\.\d\d s decision</dt><dd>it is not the half turn</dd>", page)
         document = json.loads((tmp_path / name / "metrics.json").read_text())
         runs = document["logs"][0]["estimators"]
         assert runs["minds"]["mirrored"] == 0.01
     assert "mirrored" not in metrics_document([compared])["logs"][0]["estimators"]["ekf"]  # type: ignore[index,call-overload]
+
+
+def test_moments_are_told_on_the_time_axis_of_the_pictures() -> None:
+    run = RunResult("m <1>", Trajectory(np.zeros(0, np.int64), np.zeros((0, 3))), np.zeros(0), 0.0, (*story(),), EVENTS)
+    truth = Trajectory(np.array([-SECOND, SECOND]), np.zeros((2, 3)))
+    assert (span_ns(run, truth), span_ns(run, None)) == ((-SECOND, SECOND), (0, 10 * SECOND))
+    assert "<summary>m &lt;1&gt;: 3 moments</summary>" in moments(run, truth)
+    for truth_, told in ((truth, "9.00 s recovery"), (None, "8.00 s recovery")):
+        assert f"<dt>{told}</dt><dd>elsewhere</dd>" in moments(run, truth_)
+    assert moments(replace(run, events=EVENTS[1:4]), truth) == ""
 
 
 def test_the_last_column_of_a_comparison_is_how_likely_the_other_side_is(tmp_path: Path) -> None:

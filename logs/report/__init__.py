@@ -14,6 +14,7 @@ from logs.atomic import atomic_directory
 from logs.report.error_picture import error_picture
 from logs.report.field_picture import field_picture
 from logs.report.hypotheses_picture import hypotheses_picture
+from logs.report.moments import span_ns
 from logs.report.page import Picture, Section, page
 from logs.report.style import DPI, colours, pictures_style
 from logs.results import RunResult, ScoredLog, metrics_document
@@ -80,10 +81,7 @@ def _sketches(scored: ScoredLog, stem: str, colour_of: Mapping[str, str]) -> Ite
 
 
 def _hypotheses(run: RunResult, truth: Trajectory | None) -> Figure:
-    """On the time axis of the errors, from the first true pose to the last, where there are some."""
-    told = [one.stamp_ns for one in run.ambiguities]
-    span = told if truth is None or not len(truth) else truth.stamps_ns
-    return hypotheses_picture(run.name, run.ambiguities, run.events, int(span[0]), int(span[-1]))
+    return hypotheses_picture(run.name, run.ambiguities, run.events, *span_ns(run, truth))
 
 
 def _png(figure: Figure) -> bytes:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from html import escape
 from itertools import groupby
 
+from logs.report.moments import moments
 from logs.results import ScoredLog
 from logs.table import Table, log_table, summary_table
 
@@ -61,6 +62,7 @@ def _section(section: Section) -> str:
             _table(log_table(section.scored)),
             *(f'<p class="note">{escape(note)}</p>' for note in notes),
             *(_figure(picture) for picture in section.pictures),
+            *(moments(run.run, log.truth) for run in section.scored.runs),
             "</section>",
         ]
     )
@@ -137,6 +139,7 @@ figcaption { font-size: .84rem; margin-top: .3rem; }
 code { font: .78rem ui-monospace, Menlo, Consolas, monospace; opacity: .8; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: .3rem 1.2rem; font-size: .88rem; }
 dt { font-weight: 600; } dd { margin: 0; }
+summary { cursor: pointer; margin: .5rem 0; font-size: .88rem; }
 @media print { section { break-before: page; } figure { break-inside: avoid; } }
 """
 
