@@ -82,8 +82,9 @@ def line_solutions(
     """Poses from lines of both directions; none where one direction was not seen.
 
     Complete up to so many lines that are none of the map's (`unexplained_of` many if not given), among poses on the map
-    and a metre around it; of more than `most` the likeliest. A line that fits within two sigmas of the surest of its
-    direction is not left unexplained. sigma_map_m: how well the map knows where its lines are.
+    and a metre around it, within four sigmas; of more than `most` the likeliest. Only what is sure to fit is not tried
+    as none of the map's: a line within two sigmas of where another one puts it, its ends well on the map's line; what
+    that leaves out weighs less than one in a hundred. sigma_map_m: how well the map knows where its lines are.
     """
     return _Reader(lines, field, detection, max_unexplained, sigma_map_m, most).solutions()
 
