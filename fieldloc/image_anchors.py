@@ -127,16 +127,7 @@ def along_lines(
 
 
 def joined(parts: list[Anchors]) -> Anchors:
-    names = (
-        "poses",
-        "whitening",
-        "by_mount",
-        "log_weights",
-        "log_norm",
-        "whole",
-        "along_m",
-        "free",
-        "covariances",
-        "rank",
-    )
-    return Anchors(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    """In that order."""
+    if len(parts) == 1:
+        return parts[0]
+    return Anchors(*(np.concatenate([getattr(part, name) for part in parts]) for name in Anchors.__slots__))

@@ -6,32 +6,34 @@ from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
 from fieldloc.fixes.line_solutions import line_readings
 from fieldloc.fixes.lines import GroundLines
-from fieldloc.image_anchors import Anchors, along_lines, joined, one_turn, whole_poses
+from fieldloc.image_anchors import Anchors, along_lines, one_turn, whole_poses
 from fieldloc.pose import FloatArray
 
 
 def line_anchors(
     lines: GroundLines, field: FieldMap, detection: Detection, root: FloatArray, turn_rad: float
-) -> Anchors:
+) -> list[Anchors]:
     """All whole poses, and all that lines of one direction say if those of the other are none of the map's; with
     headings within one turn only."""
     whole, single = line_readings(lines, field, replace(detection, clutter=detection.false_line))
+    out = []
     rows = one_turn(whole.poses[:, 2], turn_rad)
-    stack, others = single.stack, one_turn(single.stack.heading_rad, turn_rad)
-    return joined(
-        [
-            whole_poses(
-                whole.poses[rows], whole.pixel_covariances[rows], whole.by_mount[rows], root, whole.log_weights[rows]
-            ),
+    if rows.any():
+        pixel, by_mount = whole.pixel_covariances[rows], whole.by_mount[rows]
+        out.append(whole_poses(whole.poses[rows], pixel, by_mount, root, whole.log_weights[rows]))
+    stack = single.stack
+    rows = one_turn(stack.heading_rad, turn_rad)
+    if rows.any():
+        out.append(
             along_lines(
-                stack.heading_rad[others],
-                stack.normal_rad[others],
-                stack.offset_m[others],
-                stack.along_m[others],
-                single.pixel_covariances[others],
-                single.by_mount[others],
+                stack.heading_rad[rows],
+                stack.normal_rad[rows],
+                stack.offset_m[rows],
+                stack.along_m[rows],
+                single.pixel_covariances[rows],
+                single.by_mount[rows],
                 root,
-                single.log_weights[others],
-            ),
-        ]
-    )
+                single.log_weights[rows],
+            )
+        )
+    return out

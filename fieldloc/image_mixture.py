@@ -44,12 +44,10 @@ def image_mixture(
     least = log_outlier + _LOG_NEGLIGIBLE
     symmetries = field.symmetries if not posts.labelled else np.zeros((0, 3))
     turn_rad = 2 * np.pi / (1 + len(symmetries))
-    anchors = nothing(of_lines + count * float(np.log(detection.false_line)))
-    if lines is not None:
-        found = line_anchors(lines, field, detection, root, turn_rad)
-        if len(found) and count > _MOST_FALSE_LINES:
-            anchors = nothing(-np.inf)
-        anchors = joined([found, anchors])
+    parts = line_anchors(lines, field, detection, root, turn_rad) if lines is not None else []
+    hopeless = bool(parts) and count > _MOST_FALSE_LINES
+    parts.append(nothing(-np.inf if hopeless else of_lines + count * float(np.log(detection.false_line))))
+    anchors = joined(parts)
     anchors.log_weights[:] += base
 
     solved = read(anchors, posts, image_field, turn_rad, least)
@@ -60,9 +58,10 @@ def image_mixture(
         missed[row, solved.readings.matched[row, post]] = 0.0
         log_weights = log_weights + np.log1p(-detection.post * missed).sum(axis=1)
     stacks: list[tuple[FactorStack, FloatArray]] = [(PoseStack(poses, solved.covariances), log_weights)]
-    free = np.flatnonzero(~anchors.whole)[:-1]
-    stacks.append((_line_stack(anchors, free), anchors.log_weights[free]))
-    if len(posts):
+    free = np.flatnonzero(anchors.rank == 2)
+    if len(free):
+        stacks.append((_line_stack(anchors, free), anchors.log_weights[free]))
+    if len(posts) and not hopeless:
         rings, weights = _rings(posts, image_field)
         weights = weights + anchors.log_weights[-1]
         kept = np.flatnonzero(weights + _log_peak(rings.covariances) > least)

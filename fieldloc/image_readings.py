@@ -30,6 +30,7 @@ _WINDOW_STEPS = 4
 _STRAIGHT_LOG_M = 0.15  # standard deviation of a log distance up to which a likelihood is a Gaussian
 _STRAIGHT_RAD = 0.08  # the same of the direction from two posts
 _APART = 2.0  # windows, in their width: then their sum is flat to a hundredth
+_LOG_WORTH_CUTTING = -7.0  # of the best solution: a thousandth
 _MOST_WINDOWS = 7  # to each side
 
 
@@ -42,18 +43,22 @@ def read(anchors: Anchors, posts: PostsSeen, field: ImageMap, turn_rad: float, l
     whole = _of_lines(anchors, len(posts))
     if not len(posts):
         return whole
-    seeds = _along_lines(anchors, posts, field).beside(_pairs(anchors, posts, field))
-    seeds = seeds.take(one_turn(seeds.poses[:, 2], turn_rad))
-    base = whole
-    if len(seeds):
-        found = solve(seeds, anchors, posts, field, _SEED_STEPS)
+    out = whole
+    found = None
+    seeds = [make(anchors, posts, field) for make in (_along_lines, _pairs)]
+    if any(map(len, seeds)):
+        start = seeds[0].beside(seeds[1])
+        start = start.take(one_turn(start.poses[:, 2], turn_rad))
+        found = solve(start, anchors, posts, field, _SEED_STEPS)
         found = found.take(found.log_integrals > -np.inf)
-        base = whole.beside(found)
-    more = _with_more_posts(base, posts, field)
-    if len(base) > len(whole):
-        straight = _straightened(found, anchors, posts, field, least)
-        base = whole.beside(_bent(straight, field, len(anchors) - 1))
-    out = base.beside(solve(more, anchors, posts, field, 1)) if len(more) else base
+        out = whole.beside(found)
+    more = _with_more_posts(out, posts, field)
+    if found is not None:
+        best = float(whole.log_integrals.max(initial=-np.inf))
+        straight = _straightened(found, anchors, posts, field, least, best)
+        out = whole.beside(_bent(straight, field, len(anchors) - 1))
+    if len(more):
+        out = out.beside(solve(more, anchors, posts, field, 1))
     return out.take(_log_peaks(out) > least)
 
 
@@ -71,7 +76,7 @@ def _of_lines(anchors: Anchors, posts: int) -> Solved:
 
 def _along_lines(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Readings:
     """Lines of one direction cut by one post each, the first of those that are the map's."""
-    rows = np.flatnonzero(~anchors.whole)[:-1]
+    rows = np.flatnonzero(anchors.rank == 2)
     if not len(rows):
         return Readings.none(len(posts))
     post, mark = np.nonzero(posts.allowed)
@@ -151,29 +156,34 @@ def _with_more_posts(base: Solved, posts: PostsSeen, field: ImageMap) -> Reading
     """The readings with further posts that stand where they should from the pose; each set of posts once."""
     every = base.readings
     predicted = posts.predicted(every.poses[:, None], field.landmarks)
-    slope = predicted[..., :3]
-    error = predicted[:, None, :, :, 3] - posts.fused[:, None]
+    slope, error = predicted[..., :3], predicted[:, None, :, :, 3] - posts.fused[:, None]
     x, y = wrap(error[..., 0]), error[..., 1]
     # twice the sum, as the mount's errors are in both
-    spread = (slope @ base.covariances[:, None] @ np.swapaxes(slope, -1, -2))[:, None] + posts.fused_covariance[:, None]
+    spread = (slope @ base.covariances[:, None] @ slope.swapaxes(2, 3))[:, None] + posts.fused_covariance[:, None]
     a, b, d = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
-    distance = (d * x * x - 2.0 * b * x * y + a * y * y) / (a * d - b * b)
-    order = np.arange(len(posts))
-    last = np.where(every.matched >= 0, order, -1).max(axis=1, initial=-1)
-    fits = (distance < 2.0 * _GATE) & posts.allowed & (order > last[:, None])[..., None]
+    fits = d * x * x - 2.0 * b * x * y + a * y * y < 2.0 * _GATE * (a * d - b * b)
+    fits &= posts.allowed
+    if (every.matched >= 0).any():
+        order = np.arange(len(posts))
+        last = np.where(every.matched >= 0, order, -1).max(axis=1)
+        fits &= (order > last[:, None])[..., None]
     parents = np.arange(len(base))
     for post in range(len(posts)):
-        free = (every.matched[:, :, None] != np.arange(fits.shape[2])).all(axis=1)
-        row, mark = np.nonzero(fits[parents, post] & free)
-        if len(row):
+        row, mark = np.nonzero(fits[parents, post])
+        free = (every.matched[row] != mark[:, None]).all(axis=1)
+        if free.any():
+            row, mark = row[free], mark[free]
             more = every.take(row)
             more.matched[:, post] = mark
             every, parents = every.beside(more), np.concatenate([parents, parents[row]])
     return every.take(np.arange(len(base), len(every)))
 
 
-def _straightened(found: Solved, anchors: Anchors, posts: PostsSeen, field: ImageMap, least: float) -> Solved:
-    """Solutions that are no Gaussian in windows."""
+def _straightened(
+    found: Solved, anchors: Anchors, posts: PostsSeen, field: ImageMap, least: float, best: float
+) -> Solved:
+    """Those that are no Gaussian in windows, unless others, the best of which has the log integral `best`, are far
+    likelier."""
     poses, matched = found.readings.poses, found.readings.matched
     count = (matched >= 0).sum(axis=1)
     centre = (field.landmarks[matched] * (matched >= 0)[..., None]).sum(axis=1) / count[:, None]
@@ -185,6 +195,7 @@ def _straightened(found: Solved, anchors: Anchors, posts: PostsSeen, field: Imag
     unit = np.stack([np.cos(turned), np.sin(turned)], axis=-1)
     spread = np.sqrt(np.einsum("ki,kij,kj->k", unit, found.covariances[:, :2, :2], unit)) / distance
     likely = _log_peaks(found) > least
+    likely &= found.log_integrals > found.log_integrals.max(initial=best) + _LOG_WORTH_CUTTING
     bent = np.flatnonzero((spread > np.where(by_distance, _STRAIGHT_LOG_M, _STRAIGHT_RAD)) & likely)
     if not len(bent):
         return found
