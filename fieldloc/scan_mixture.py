@@ -18,20 +18,18 @@ from fieldloc.association import landmark_factors
 from fieldloc.detection import Detection
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.field import FieldMap
-from fieldloc.fixes.labelling import label_landmarks
 from fieldloc.fixes.landmarks import LandmarkFix, landmark_fix
 from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import assign, expand
+from fieldloc.scan_fits import CHI2_LIMITS, whole_poses
 from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
 
 _RING_STEPS = 24
 _MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFix
-# chance of a good scan to fail is one in ten thousand: chi-square at 2n - 3 degrees of freedom for n = 2, 3, ...
-_CHI2_LIMITS = (15.14, 21.11, 25.74, 29.88, 33.72, 37.37, 40.87, 44.26)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +90,7 @@ class ScanMixture:
         scale = np.sqrt(self.model.wider[which])
         covariance = self.scan.covariance[rows] * scale[:, :, None] * scale[:, None, :]
         if len(rows) >= 2:
-            limit = _CHI2_LIMITS[min(len(rows) - 2, len(_CHI2_LIMITS) - 1)]
+            limit = CHI2_LIMITS[min(len(rows) - 2, len(CHI2_LIMITS) - 1)]
             fixes = self._fixes(rows, which, self.scan.covariance[rows])
             if len(fixes) == 1 and fixes[0].chi2 < limit:
                 fixes = self._fixes(rows, which, covariance)
@@ -148,53 +146,15 @@ class ScanMixture:
 
     @cached_property
     def _solutions(self) -> PoseSolutions:
-        n = len(self.scan.labels)
-        if n < 2 or len(self.field_map.positions) < 2:
+        found = whole_poses(self.model)
+        if not len(found.poses):
             return PoseSolutions.none()
-        fix: LandmarkFix
-        tried: list[tuple[IntArray, LandmarkFix]] = []
-        if self.model.may.sum() == n:
-            every = np.argmax(self.model.may, axis=1)
-            for left_out in range(-1, n if n > 2 else 0):
-                rows = np.flatnonzero(np.arange(n) != left_out)
-                matches = np.where(np.arange(n) == left_out, -1, every)
-                tried += [(matches, fix) for fix in self._fixes(rows, every[rows], self.scan.covariance[rows])]
-        else:
-            for fix in label_landmarks(
-                self.field_map.positions,
-                self.scan.range_bearing,
-                self.scan.covariance,
-                self.field_map.positions_covariance,
-                self.scan.robot_from_sensor,
-                max_unexplained=min(max(1, n // 4), n - 2),
-                max_solutions=256,
-            ):
-                matches = np.array([-1 if index is None else index for index in fix.matches])
-                rows = np.flatnonzero(matches >= 0)
-                if self.model.may[rows, matches[rows]].all():
-                    tried.append((matches, fix))
-        tried = [
-            (matches, fix)
-            for matches, fix in tried
-            if fix.chi2 < _CHI2_LIMITS[min(int((matches >= 0).sum()) - 2, len(_CHI2_LIMITS) - 1)]
-        ]
-        if not tried:
-            return PoseSolutions.none()
-        weights = []
-        for matches, fix in tried:
-            rows = np.flatnonzero(matches >= 0)
-            prior = (self.model.log_match - self.model.log_clutter)[rows].sum()
-            peak = -0.5 * (fix.chi2 + sum(np.linalg.slogdet(2 * np.pi * self.scan.covariance[rows])[1]))
-            weights.append(self.log_right + prior + peak + 0.5 * np.linalg.slogdet(2 * np.pi * fix.covariance)[1])
-        order = np.argsort(-np.array(weights), kind="stable")
-        poses = np.array([fix.pose for _, fix in tried])[order]
-        covariances = np.array([fix.covariance for _, fix in tried])[order]
-        return PoseSolutions(
-            poses,
-            se2.rotate_covariance(covariances, -poses[:, 2]),
-            np.array(weights)[order],
-            self._intern(np.array([matches for matches, _ in tried])[order]),
-        )
+        poses, covariances = found.poses, found.covariances
+        if self.scan.robot_from_sensor.any():
+            poses = se2.compose(poses, se2.inverse(self.scan.robot_from_sensor))
+            back = se2.adjoint(self.scan.robot_from_sensor)
+            covariances = back @ covariances @ back.T
+        return PoseSolutions(poses, covariances, found.log_weights + self.log_right, self._intern(found.matches))
 
 
 def scan_mixture(scan: LandmarkScan, field: FieldMap, detection: Detection, wider: FloatArray) -> ScanMixture | None:

@@ -206,6 +206,14 @@ class ScanModel:
         return c * dx + s * dy, c * dy - s * dx
 
     @cached_property
+    def points(self) -> tuple[FloatArray, FloatArray]:
+        """Where landmarks were seen (n, 2), sensor's frame, and covariances (n, 2, 2) of that, not widened."""
+        seen = self._seen
+        r = seen[2]
+        xx, xy, yy = seen[5:8] + r * (seen[11:14] + r * seen[8:11])
+        return seen[:2].T, np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
+
+    @cached_property
     def _repeats(self) -> bool:
         return bool((self.wider > 1.0).any())
 
