@@ -180,10 +180,12 @@ def test_a_turned_and_shifted_map_gives_turned_and_shifted_solutions() -> None:
     np.testing.assert_allclose(found.covariances, other.covariances, atol=1e-9)
     for pose in compose(shift, found.poses):
         assert gaps(other.poses, pose).min() < 1e-8
-    lines = seen_from(np.array([2.0, 1.8, 1.5]))
+    pose = np.array([2.0, 1.8, 1.5])
+    lines = seen_from(pose)
     assert lines is not None
-    right = right_ones(line_constraints(lines, moved, DETECTION), compose(shift, np.array([2.0, 1.8, 1.5])))
-    assert right.sum() == 1
+    constraints = line_constraints(lines, moved, DETECTION)
+    for other_pose in (pose, compose(HALF_TURN, pose)):
+        assert right_ones(constraints, compose(shift, other_pose)).sum() == 1
 
 
 def test_doubt_about_the_map_widens_the_solutions() -> None:
