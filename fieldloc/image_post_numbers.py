@@ -33,58 +33,54 @@ class PostNumbers:
 
 def post_numbers(posts: list[PostObservation], camera: Camera, mount: CameraMount, radius_m: float) -> PostNumbers:
     """radius_m 0 where the posts' is not known: then edges say nothing. ValueError for a foot without a covariance."""
+    count = len(posts)
     pixels, noise = _pixels(posts)
     rays, to_pixels, exists = camera.ray_and_jacobian(pixels)
+    if not exists.all():
+        rays, to_pixels = np.where(exists[..., None], rays, 0.0), np.where(exists[..., None, None], to_pixels, 0.0)
     rotation = robot_from_camera(mount)
     directions = rays @ rotation.T
-    # change of the three directions (p, 3, 3) with their own (u, v) and with (pan, tilt, roll)
-    by_all = np.empty((len(posts), 3, 3, 5))
+    # change of the directions to left edge, right edge and foot with their own (u, v) and with (pan, tilt, roll)
+    by_all = np.empty((count, 3, 3, 5))
     by_all[..., :2] = rotation @ to_pixels
-    by_all[..., 2:] = np.swapaxes(cross(attitude_axes(mount), directions[..., None, :]), -1, -2)
-    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+    by_all[..., 2:] = cross(attitude_axes(mount), directions[..., None, :]).swapaxes(2, 3)
+    x, y, down = directions[..., 0], directions[..., 1], -directions[..., 2]
     level2 = np.maximum(x * x + y * y, 1e-12)
-    bearing = np.arctan2(y, x)
-    to_bearing = np.zeros((len(posts), 3, 1, 3))
-    to_bearing[:, :, 0, 0], to_bearing[:, :, 0, 1] = -y / level2, x / level2
-    turned = (to_bearing @ by_all)[:, :, 0]
-
-    values, jacobian = np.empty((len(posts), NUMBERS)), np.zeros((len(posts), NUMBERS, 6))
-    by_mount, seen = np.zeros((len(posts), NUMBERS, 4)), np.empty((len(posts), NUMBERS), dtype=np.bool_)
-    # the foot
-    x, y, down, level2 = x[:, _FOOT], y[:, _FOOT], -z[:, _FOOT], level2[:, _FOOT]
     below = down > 1e-9
-    reach = mount.height_m * np.sqrt(level2) / np.where(below, down, 1.0)
-    values[:, 0], values[:, 1] = bearing[:, _FOOT], 1.0 / (reach + radius_m)
-    slope = -reach * values[:, 1] ** 2  # by the reach's relative change
-    to_foot = np.stack([x / level2, y / level2, 1.0 / np.where(below, down, 1.0)], axis=-1)[:, None]
-    lengthened = slope[:, None] * (to_foot @ by_all[:, _FOOT])[:, 0]
-    jacobian[:, 0, 4:], by_mount[:, 0, 1:] = turned[:, _FOOT, :2], turned[:, _FOOT, 2:]
-    jacobian[:, 1, 4:], by_mount[:, 1, 1:] = lengthened[:, :2], lengthened[:, 2:]
-    by_mount[:, 1, 0] = slope / mount.height_m
-    seen[:, :2] = (below & exists[:, _FOOT])[:, None]
-    # the edges: the axis is in their middle, and the sine of half their angle is the radius over the distance
-    left, right = turned[:, _LEFT], turned[:, _RIGHT]
+    down = np.where(below, down, 1.0)
+    # of the directions' bearings, and of the logarithm of how far they reach on the ground
+    to_polar = np.zeros((count, 3, 2, 3))
+    to_polar[:, :, 1, 0], to_polar[:, :, 1, 1] = x / level2, y / level2
+    to_polar[:, :, 0, 0], to_polar[:, :, 0, 1] = -to_polar[:, :, 1, 1], to_polar[:, :, 1, 0]
+    to_polar[:, :, 1, 2] = 1.0 / down
+    polar = (to_polar @ by_all).reshape(count, 6, 5)[:, [0, 2, 4, 5]]  # three bearings, and the foot's reach
+    bearing = np.arctan2(y, x)
     half = 0.5 * wrap(bearing[:, _LEFT] - bearing[:, _RIGHT])
+    # the axis is in the edges' middle, and the sine of half their angle is the radius over the distance
     scale = 1.0 / radius_m if radius_m > 0.0 else 0.0
+    inverse = 1.0 / (mount.height_m * np.sqrt(level2[:, _FOOT]) / down[:, _FOOT] + radius_m)
+    values = np.empty((count, NUMBERS))
+    values[:, 0], values[:, 1] = bearing[:, _FOOT], inverse
     values[:, 2], values[:, 3] = bearing[:, _RIGHT] + half, scale * np.sin(half)
-    gain = (0.5 * scale * np.cos(half))[:, None]
-    jacobian[:, 2, :2], jacobian[:, 2, 2:4], by_mount[:, 2, 1:] = (
-        0.5 * left[:, :2],
-        0.5 * right[:, :2],
-        0.5 * (left + right)[:, 2:],
-    )
-    jacobian[:, 3, :2], jacobian[:, 3, 2:4], by_mount[:, 3, 1:] = (
-        gain * left[:, :2],
-        -gain * right[:, :2],
-        gain * (left - right)[:, 2:],
-    )
-    wide = (half > 0.0) & (half < 0.5 * np.pi) & (radius_m > 0.0)
-    seen[:, 2:] = (wide & exists[:, _LEFT] & exists[:, _RIGHT])[:, None]
+    slope = inverse * (radius_m * inverse - 1.0)
+    mixed = np.zeros((count, NUMBERS, 4))
+    mixed[:, 0, 2], mixed[:, 1, 3], mixed[:, 2, :2] = 1.0, slope, 0.5
+    mixed[:, 3, 0] = 0.5 * scale * np.cos(half)
+    mixed[:, 3, 1] = -mixed[:, 3, 0]
+    seen = np.empty((count, NUMBERS), dtype=np.bool_)
+    seen[:, :2] = (below & exists)[:, _FOOT, None]
+    seen[:, 2:] = ((half > 0.0) & (half < 0.5 * np.pi) & (radius_m > 0.0) & exists[:, _LEFT] & exists[:, _RIGHT])[
+        :, None
+    ]
+    by_mount = np.zeros((count, NUMBERS, 4))
+    by_mount[:, 1, 0] = slope / mount.height_m
+    by_mount[:, :, 1:] = mixed @ polar[:, :, 2:]
+    by_pixels = mixed[..., None] * polar[:, None, :, :2]
+    by_pixels[:, :, _FOOT] += by_pixels[:, :, 3]
+    jacobian = by_pixels[:, :, :3].reshape(count, NUMBERS, 6)
     if not seen.all():
-        values[~seen] = 0.0
-        jacobian[~seen] = 0.0
-        by_mount[~seen] = 0.0
-    return PostNumbers(values, by_mount, jacobian @ noise @ np.swapaxes(jacobian, -1, -2), seen)
+        values[~seen], jacobian[~seen], by_mount[~seen] = 0.0, 0.0, 0.0
+    return PostNumbers(values, by_mount, jacobian @ noise @ jacobian.swapaxes(1, 2), seen)
 
 
 def _pixels(posts: list[PostObservation]) -> tuple[FloatArray, FloatArray]:

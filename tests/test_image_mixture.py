@@ -340,3 +340,10 @@ def test_a_solution_is_given_out_as_one_factor() -> None:
     (factor,) = found.chosen(int(solutions.ids[0]))
     assert isinstance(factor, PoseFactor)
     np.testing.assert_array_equal(factor.pose, solutions.poses[0])
+
+
+def test_posts_without_a_foot_are_as_far_as_they_are_narrow() -> None:
+    features = only(exact(), lines=0)
+    posts = tuple(replace(post, foot_px=None, foot_covariance_px2=None) for post in features.posts)
+    found = mixture_of(replace(features, posts=posts))
+    assert misfits(found, TOWARDS_GOAL).min() < 1.0
