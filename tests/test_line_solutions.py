@@ -186,6 +186,12 @@ def test_a_turned_and_shifted_map_gives_turned_and_shifted_solutions() -> None:
     constraints = line_constraints(lines, moved, DETECTION)
     for other_pose in (pose, compose(HALF_TURN, pose)):
         assert right_ones(constraints, compose(shift, other_pose)).sum() == 1
+    stack, other = line_constraints(lines, SPL, DETECTION).stack, constraints.stack
+    along = stack.normal_rad + shift[2] + 0.5 * np.pi
+    rooms = stack.along_m + (np.cos(along) * shift[0] + np.sin(along) * shift[1])[:, None]
+    for heading, room in zip(stack.heading_rad + shift[2], rooms, strict=True):
+        same = np.abs(wrap(other.heading_rad - heading)) < 1e-8
+        assert np.abs(other.along_m[same] - room).max(axis=1).min() < 1e-8
 
 
 def test_doubt_about_the_map_widens_the_solutions() -> None:
