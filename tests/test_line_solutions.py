@@ -24,7 +24,7 @@ from fieldloc.fixes.line_solutions import line_constraints, line_readings, line_
 from fieldloc.fixes.lines import lines_on_the_ground
 from fieldloc.ground import project_points
 from fieldloc.measurements import LineObservation
-from fieldloc.pose import FloatArray, apply, compose, inverse, local
+from fieldloc.pose import FloatArray, apply, compose, inverse, local, wrap
 from fieldloc.view import visible_parts
 
 
@@ -186,12 +186,12 @@ def test_a_turned_and_shifted_map_gives_turned_and_shifted_solutions() -> None:
     constraints = line_constraints(lines, moved, DETECTION)
     for other_pose in (pose, compose(HALF_TURN, pose)):
         assert right_ones(constraints, compose(shift, other_pose)).sum() == 1
-    stack, other = line_constraints(lines, SPL, DETECTION).stack, constraints.stack
+    stack, there = line_constraints(lines, SPL, DETECTION).stack, constraints.stack
     along = stack.normal_rad + shift[2] + 0.5 * np.pi
     rooms = stack.along_m + (np.cos(along) * shift[0] + np.sin(along) * shift[1])[:, None]
     for heading, room in zip(stack.heading_rad + shift[2], rooms, strict=True):
-        same = np.abs(wrap(other.heading_rad - heading)) < 1e-8
-        assert np.abs(other.along_m[same] - room).max(axis=1).min() < 1e-8
+        same = np.abs(wrap(there.heading_rad - heading)) < 1e-8
+        assert np.abs(there.along_m[same] - room).max(axis=1).min() < 1e-8
 
 
 def test_doubt_about_the_map_widens_the_solutions() -> None:
