@@ -180,10 +180,10 @@ def _reliability(games: dict[str, list[Watched]]) -> str:
     return "\n".join(
         [
             "expected calibration error",
-            table(("games", "P(mirrored)", "all weights", "best weight", "found"), rows),
+            table(("games", "P(mirrored)", "all places", "best place", "found"), rows),
             "P(mirrored) and its complement, all games",
             table(bins, reliability(*both_sides(everything))),
-            "weights of all hypotheses, all games",
+            "weights of all places, all games",
             table(bins, reliability(*_weights(everything))),
         ]
     )

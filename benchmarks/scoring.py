@@ -26,7 +26,7 @@ class Moment:
     since_s: since the evidence before it. found: its first hypothesis or one of that one's copies is where the robot
     is, by RIGHT_*; right: itself is. away_m, away_rad: of the nearest copy. other_side: one of the copies is nearer.
     nees: of the estimate, nees_folded: of its best copy. spread_m: its own standard deviation of the position.
-    told: probabilities of hypotheses, true: whether each was where the robot is.
+    told: probabilities of the places that the hypotheses are at, true: whether the robot was at each.
     """
 
     stamp_ns: int
@@ -139,9 +139,24 @@ def _moment(game: PlayedGame, stamp_ns: int, said: Ambiguity, truth: FloatArray)
         float(nees[0]),
         float(nees.min()),
         float(np.sqrt(np.trace(best.covariance[:2, :2]))),
-        np.array([one.weight for one in said.hypotheses]),
-        np.array([_holds(one, truth) for one in said.hypotheses], dtype=np.bool_),
+        *_places(said.hypotheses, truth),
     )
+
+
+def _places(hypotheses: tuple[Hypothesis, ...], truth: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """What is told of each place and whether it is true, the likeliest first: hypotheses that are one place to RIGHT_*
+    are told together, and true if one of them is."""
+    poses = np.array([one.pose for one in hypotheses])
+    weights, holds = np.array([one.weight for one in hypotheses]), np.array([_holds(one, truth) for one in hypotheses])
+    left, told, true = np.ones(len(poses), dtype=np.bool_), [], []
+    for row, pose in enumerate(poses):
+        if left[row]:
+            away = poses - pose
+            here = left & (np.hypot(away[:, 0], away[:, 1]) < RIGHT_M) & (np.abs(se2.wrap(away[:, 2])) < RIGHT_RAD)
+            left &= ~here
+            told.append(weights[here].sum())
+            true.append(holds[here].any())
+    return np.array(told), np.array(true, dtype=np.bool_)
 
 
 def _holds(hypothesis: Hypothesis, truth: FloatArray) -> bool:
