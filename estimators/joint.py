@@ -55,12 +55,12 @@ class _Settling:
     def settled(self, story: Story, near: Solution | None) -> Settled:
         poses, compass = story.poses, self._compass if near is None else []
         self._choose(compass, poses, np.broadcast_to(_ROUGHLY, (len(poses), 3, 3)), *self._offsets(None))
-        for _ in range(_ROUNDS):
+        for first in (True, *(_ROUNDS - 1) * (False,)):
             chain = self._recorded.chain(self._choices, story.breaks, poses, self.chosen)
             near = solve(chain, self._config, near)
             poses = near.poses
             out = Settled(self._choices.copy(), story.breaks, chain, near, self._margins.copy())
-            changed = self._choose(self._doubtful(near), poses, near.covariances, *self._offsets(near))
+            changed = self._choose(self._doubtful(near, first), poses, near.covariances, *self._offsets(near))
             if not changed or not self._recorded.anchored(self._choices, story.breaks):
                 break
         return out
@@ -75,15 +75,15 @@ class _Settling:
         known = (np.zeros(0),) * 2 if solution is None else (solution.compass_rad, solution.compass_variance_rad2)
         return at_nodes(self._recorded.stamps_ns, *known, self._config.compass)
 
-    def _doubtful(self, solution: Solution) -> list[int]:
-        """Mixtures to look at again: unsure ones, those that fit badly, those whose poses have moved since."""
+    def _doubtful(self, solution: Solution, first: bool) -> list[int]:
+        """Mixtures to look at again: unsure ones if their poses have moved since, those that fit badly."""
         out = []
         moved = se2.local(self._looked_at, solution.poses)
         distance = np.sum(moved * np.linalg.solve(solution.covariances, moved[..., None])[..., 0], axis=-1)
         for index, (node, mixture) in enumerate(self._recorded.mixtures):
             choice = int(self._choices[index])
             unsure = self._margins[index] < _SURE or choice < 0 or mixture.by_compass
-            if (unsure and distance[node] > _MOVED) or (
+            if (unsure and (first or distance[node] > _MOVED)) or (
                 choice >= 0 and self._misfit(index, choice, solution.poses[node])
             ):
                 out.append(index)
@@ -110,7 +110,7 @@ class _Settling:
                 pose = pose + [0.0, 0.0, offsets[node]]
                 covariance = covariance + np.diag([0.0, 0.0, variances[node]])
             elif before >= 0:
-                pose, covariance = cavity(self.chosen(index, before), pose, covariance)
+                pose, covariance = cavity(self.chosen(index, before), pose, covariance, self._config.graph.cauchy)
             after, self._margins[index] = self._best(index, pose, covariance, before)
             self._choices[index] = after
             changed |= after != before
@@ -133,15 +133,18 @@ class _Settling:
         return choice, float(worth[best] - rest.max()) if len(rest) else np.inf
 
 
-def cavity(factors: Sequence[Factor], pose: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pose (3,) and covariance (3, 3), robot frame, without what the factors have said to them."""
+def cavity(
+    factors: Sequence[Factor], pose: FloatArray, covariance: FloatArray, cauchy: float
+) -> tuple[FloatArray, FloatArray]:
+    """The pose (3,) and covariance (3, 3), robot frame, without what the factors have said to them under a kernel."""
     information, gradient = np.zeros((3, 3)), np.zeros(3)
     for factor in factors:
-        jacobian = factor.jacobian(pose)
-        weighted = np.linalg.solve(factor.covariance, np.column_stack([jacobian, factor.error(pose)]))
-        information += jacobian.T @ weighted[:, :3]
-        gradient -= jacobian.T @ weighted[:, 3]
-    # of each direction at least a hundredth is left: the robust kernel may have used less of the factors
+        jacobian, error = factor.jacobian(pose), factor.error(pose)
+        weighted = np.linalg.solve(factor.covariance, np.column_stack([jacobian, error]))
+        weight = 1.0 / (1.0 + float(error @ weighted[:, 3]) / cauchy**2)
+        information += weight * (jacobian.T @ weighted[:, :3])
+        gradient -= weight * (jacobian.T @ weighted[:, 3])
+    # of each direction at least a hundredth is left, as nothing is linear
     root = np.linalg.cholesky(covariance)
     share, axes = np.linalg.eigh(root.T @ information @ root)
     without = root @ axes

@@ -52,12 +52,18 @@ def stories(recorded: Recorded, tracks: Tracks, log_start: FloatArray, log_kidna
     came_from = np.zeros((seen, most + 1, count), dtype=np.int16)  # -1 stayed, else the track before
     came_from[0] = -1
     for t in range(1, seen):
-        best = score[:-1].argmax(axis=1)
-        changed = score[np.arange(most), best] + prices[t]
+        before, rows = score[:-1].copy(), np.arange(most)
+        best = before.argmax(axis=1)
+        others = np.repeat(before[rows, best][:, None], count, axis=1)
+        source = np.repeat(best[:, None], count, axis=1)
+        before[rows, best] = -np.inf  # no change is one to the same track
+        source[rows, best] = before.argmax(axis=1)
+        others[rows, best] = before.max(axis=1)
+        changed = others + prices[t]
+        better = changed > score[1:]
         came_from[t] = -1
-        better = changed[:, None] > score[1:]
-        came_from[t, 1:] = np.where(better, best[:, None], -1)
-        score[1:] = np.where(better, changed[:, None], score[1:])
+        came_from[t, 1:] = np.where(better, source, -1)
+        score[1:] = np.where(better, changed, score[1:])
         score += tracks.log_evidence[:, t]
     out = []
     for track in range(count):
