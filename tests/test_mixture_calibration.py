@@ -11,6 +11,7 @@ from walks import PLAIN, ns, velocities, walk
 
 from estimators.config import Config, Mixture
 from estimators.mixture import MixtureFilter
+from estimators.mixture.sides import distance
 from fieldloc import pose as se2
 from fieldloc.heading_mixture import heading_mixture
 from fieldloc.measurements import Compass, Odometry
@@ -105,7 +106,7 @@ def wrong_sides(seed: int, seconds: float = 24.0) -> list[float]:
             if k >= 100 and ambiguity is not None:
                 twin = se2.compose(HALF_TURN[0], truth[k])
                 by_side = [
-                    sum(h.weight for h in ambiguity.hypotheses if np.linalg.norm(h.pose - near) < 1.0)
+                    sum(h.weight for h in ambiguity.hypotheses if distance(h.pose, near) < 1.0)
                     for near in (truth[k], twin)
                 ]
                 out.append(by_side[1] / max(sum(by_side), 1e-9))
