@@ -59,7 +59,7 @@ def test_the_numbers_covariance_is_that_of_the_pixels() -> None:
 
     def at(change: FloatArray) -> FloatArray:
         moved = replace(post, edges_px=post.edges_px + change[:4].reshape(2, 2), foot_px=foot + change[4:])
-        return post_numbers([moved], CAMERA, TILTED, RADIUS_M).values[0]
+        return np.asarray(post_numbers([moved], CAMERA, TILTED, RADIUS_M).values[0])
 
     jacobian = central_difference(at, np.zeros(6), 1e-3)
     noise = np.zeros((6, 6))
@@ -151,7 +151,7 @@ def test_posts_beside_lines_weigh_as_the_joint_normal_density_says() -> None:
 def opponent_posts(posts: PostsSeen) -> NDArray[np.intp]:
     """(1, 2) which landmark each of the two is."""
     bearings = posts.predicted(POSE, FIELD.positions[:2])[:, 0, 3]
-    return np.argmin(np.abs(bearings - posts.fused[:, :1]), axis=1)[None]
+    return np.asarray(np.argmin(np.abs(bearings - posts.fused[:, :1]), axis=1)[None])
 
 
 def odds_free_norm(covariances: FloatArray) -> FloatArray:
@@ -174,9 +174,9 @@ def test_a_reading_that_fits_nowhere_is_ruled_out() -> None:
         assert solve(start, lines, posts, image_map(FIELD), 2).log_integrals[0] == -np.inf
 
 
-def sight(x: float, heading: float = 0.0, **changes: float) -> FloatArray:
-    pose = np.array([[x, 0.0, heading]])
-    return in_clear_sight(pose, CAMERA, replace(MOUNT, **changes), FIELD.positions, Detection())[0]
+def sight(x: float, heading: float = 0.0, tilt_rad: float = MOUNT.tilt_rad) -> FloatArray:
+    pose, mount = np.array([[x, 0.0, heading]]), replace(MOUNT, tilt_rad=tilt_rad)
+    return np.asarray(in_clear_sight(pose, CAMERA, mount, FIELD.positions, Detection())[0])
 
 
 def test_posts_ahead_and_near_are_in_clear_sight_and_others_are_not() -> None:
