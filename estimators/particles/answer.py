@@ -14,6 +14,7 @@ from fieldloc.pose import FloatArray
 _LEAST = 1e-4  # hypotheses of less weight are not worth a word
 _DECIDED = 0.99
 _NEAR_M, _NEAR_RAD = 0.7, 0.6
+_FLOOR = np.diag([1e-4, 1e-4, 1e-4]) ** 2  # a cluster may be a single particle
 
 Carry = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
@@ -73,29 +74,35 @@ def side_masses(cloud: Cloud, of: Moments) -> FloatArray:
 def best_of(cloud: Cloud, of: Moments, copies: Copies) -> tuple[FloatArray, FloatArray, int]:
     """Pose (3,), covariance (3, 3) in its robot frame, and which copy, of the likeliest."""
     if len(of.masses) == 1 and len(copies) == 1:
-        return of.means[0, :3], of.covariances[0, :3, :3], 0
+        return of.means[0, :3], of.covariances[0, :3, :3] + _FLOOR, 0
     cluster, copy = np.unravel_index(np.argmax(side_masses(cloud, of)), (len(of.masses), len(copies)))
-    return copies.of(of.means[cluster, :3])[copy], of.covariances[cluster, :3, :3], int(copy)
+    return copies.of(of.means[cluster, :3])[copy], of.covariances[cluster, :3, :3] + _FLOOR, int(copy)
 
 
-def hypotheses(cloud: Cloud, of: Moments, copies: Copies, tracks: Tracks, lost: float, carry: Carry) -> Found:
+def hypotheses(
+    cloud: Cloud, of: Moments, copies: Copies, tracks: Tracks, lost: float, carry: Carry, mirror: Copies | None = None
+) -> Found:
+    """mirror: the map's copies where the cloud itself does not fold them."""
     masses = side_masses(cloud, of)
     masses = masses / masses.sum() * (1.0 - lost)
     poses = copies.of(of.means[:, :3])
     shape = masses.shape
     best = np.unravel_index(np.argmax(masses), shape)
     mirrored = 0.0
-    if len(copies) > 1:
-        beside = se2.between(copies.of(poses[best])[1:, None, None], poses[None])
-        near = (np.hypot(beside[..., 0], beside[..., 1]) < _NEAR_M) & (np.abs(beside[..., 2]) < _NEAR_RAD)
-        mirrored = float(masses[near.any(axis=0)].sum())
+    mirror = copies if mirror is None else mirror
+    if len(mirror) > 1:
+        # who stands nearer to the estimate than to its copies is on its side
+        flat = poses.reshape(-1, 3)
+        back = se2.between(mirror.of(poses[best])[:, None], flat[None])
+        side = np.argmin(np.sum(back[..., :2] ** 2, axis=-1) + (2.0 * back[..., 2]) ** 2, axis=0)
+        mirrored = float(masses.ravel()[side > 0].sum())
     out: list[Hypothesis] = []
     for at in np.argsort(-masses, axis=None, kind="stable"):
         cluster, copy = np.unravel_index(at, shape)
         weight = float(masses[cluster, copy])
         if weight < _LEAST and out:
             break
-        pose, covariance = carry(poses[cluster, copy], of.covariances[cluster, :3, :3])
+        pose, covariance = carry(poses[cluster, copy], of.covariances[cluster, :3, :3] + _FLOOR)
         track = int(tracks.numbers[cluster]) * len(copies) + int(copy)
         out.append(Hypothesis(weight, pose, covariance, track))
     left = (1.0 - lost) / sum(one.weight for one in out)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.particles.clusters import group
 from fieldloc import pose as se2
@@ -109,25 +110,36 @@ def put(cloud: Cloud, labels: IntArray, means: FloatArray, around: FloatArray) -
     cloud.offsets_rad = mean[..., 3] + around[:, 3]
 
 
-def regroup(cloud: Cloud) -> tuple[IntArray, int]:
-    """Label the clusters anew; and labels (n,) of parts of them that are small enough to be taken for Gaussians, and
-    their number: where a cluster is large or bent, its cells."""
-    labels, cell = group(cloud.poses)
-    cloud.labels = labels
+def regroup(cloud: Cloud) -> tuple[IntArray, IntArray, int]:
+    """Labels (n,) of the clusters as they are now; and labels (n,) of parts of them that are small enough to be taken
+    for Gaussians, and their number: where a cluster is large or bent, its cells."""
+    labels, cell = group(cloud.poses, cloud.weights)
     clusters = int(labels.max(initial=0)) + 1
     whole = moments(cloud, labels, clusters)
     if clusters > 1 and (to := _stragglers(whole)) is not None:
         _, to = np.unique(to, return_inverse=True)
         labels, clusters = to.reshape(-1).astype(np.intp)[labels], int(to.max()) + 1
-        cloud.labels = labels
         whole = moments(cloud, labels, clusters)
-    sigma = np.sqrt(np.maximum(np.diagonal(whole.covariances, axis1=1, axis2=2), 0.0))
-    large = (sigma[:, :2] > _WIDE_M).any(axis=1) | (sigma[:, 2] > _WIDE_RAD)
-    if not large.any():
-        return labels, clusters
-    parts = np.where(large[labels], clusters + cell, labels)
+    wide = large(whole)
+    if not wide.any():
+        return labels, labels, clusters
+    parts = np.where(wide[labels], clusters + cell, labels)
     found, inverse = np.unique(parts, return_inverse=True)
-    return inverse.reshape(-1).astype(np.intp), len(found)
+    return labels, inverse.reshape(-1).astype(np.intp), len(found)
+
+
+def parts_of(cloud: Cloud, of: Moments) -> tuple[IntArray, Moments]:
+    """Labels (n,) of parts that can be taken for Gaussians, and their moments."""
+    if len(of.masses) == 1 and not large(of)[0]:
+        return cloud.labels, of
+    _, parts, number = regroup(cloud)
+    return parts, moments(cloud, parts, number)
+
+
+def large(of: Moments) -> NDArray[np.bool_]:
+    """(k,) which clusters are too wide to be taken for Gaussians."""
+    sigma = np.sqrt(np.maximum(np.diagonal(of.covariances, axis1=1, axis2=2), 0.0))
+    return np.asarray((sigma[:, :2] > _WIDE_M).any(axis=1) | (sigma[:, 2] > _WIDE_RAD))
 
 
 def _stragglers(of: Moments) -> IntArray | None:

@@ -13,8 +13,10 @@ from estimators.particles.answer import Tracks, best_of, hypotheses
 from estimators.particles.calibration import CalibrationBelief
 from estimators.particles.cloud import Cloud, Moments, moments, places, regroup
 from estimators.particles.likelihoods import FactorLikelihood, mixture_likelihood
+from estimators.particles.proposal import proposed
 from estimators.particles.recovery import Elsewhere
-from estimators.particles.weighing import LogLikelihood, drawn, exact, scattered, weigh
+from estimators.particles.sides import Copies
+from estimators.particles.weighing import LogLikelihood, drawn, exact, scattered, weigh, weigh_where_sent
 from fieldloc import pose as se2
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.factors import Factor, PoseFactor, innovation_covariance
@@ -89,7 +91,7 @@ class ParticleFilter:
         if (elsewhere := self._restart.consider(factor, disagrees=weight < 1.0)) is not None:
             self._scatter(elsewhere.pose, elsewhere.covariance)
             return Innovation(factor.stamp_ns, residual, expected, nis, 0.0)
-        likelihood = FactorLikelihood(factor, weight, self._config, self._elsewhere.copies)
+        likelihood = FactorLikelihood(factor, weight, self._config, self._copies)
         self._weigh(likelihood)
         if weight == 1.0:
             weight = likelihood.inlier(self._cloud, self._moments)
@@ -103,7 +105,7 @@ class ParticleFilter:
             return
         self._move()
         prior = elsewhere.prior()
-        log_evidence = self._weigh(mixture_likelihood(mixture, elsewhere.copies))
+        log_evidence = self._weigh(mixture_likelihood(mixture, self._copies), mixture)
         if mixture.by_compass:
             return
         outlier = math.exp(min(mixture.log_outlier - log_evidence, 0.0))
@@ -127,12 +129,16 @@ class ParticleFilter:
         if self._cloud is None or self._motion.stamp_ns is None:
             return None
         lost = self._elsewhere.lost
-        found = hypotheses(self._cloud, self._moments, self._elsewhere.copies, self._tracks, lost, self._carried)
+        found = hypotheses(self._cloud, self._moments, self._copies, self._tracks, lost, self._carried)
         return Ambiguity(self._motion.stamp_ns, found.hypotheses, found.mirrored, lost)
 
     @property
     def events(self) -> Sequence[Event]:
         return self._tracks.events
+
+    @property
+    def _copies(self) -> Copies:
+        return self._elsewhere.copies
 
     def _carried(self, pose: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A pose and its covariance (robot frame) as they are now, the covariance in field axes."""
@@ -141,12 +147,19 @@ class ParticleFilter:
 
     def _best(self) -> tuple[FloatArray, FloatArray, int]:
         assert self._cloud is not None
-        return best_of(self._cloud, self._moments, self._elsewhere.copies)
+        return best_of(self._cloud, self._moments, self._copies)
 
-    def _weigh(self, log_likelihood: LogLikelihood) -> float:
+    def _weigh(self, log_likelihood: LogLikelihood, mixture: MixtureFactor | None = None) -> float:
         assert self._cloud is not None
-        config = self._config.particles
-        self._cloud, self._moments, out = weigh(self._cloud, self._moments, log_likelihood, config, self._random)
+        config, cloud, of, random = self._config.particles, self._cloud, self._moments, self._random
+        if (
+            mixture is None
+            or mixture.by_compass
+            or (sent := proposed(cloud, of, mixture, self._copies, random)) is None
+        ):
+            self._cloud, self._moments, out = weigh(cloud, of, log_likelihood, config, random)
+        else:
+            self._cloud, self._moments, out = weigh_where_sent(of, *sent, log_likelihood, config, random)
         self._calibration.shift(out.shift)
         self._tracks.follow(self._cloud, self._moments, self._motion.stamp_ns or 0)
         return out.log_evidence
@@ -156,7 +169,7 @@ class ParticleFilter:
         self._forget_place()
         self._elsewhere = Elsewhere(self._config.particles, self._region)
         self._elsewhere.found()
-        sides = np.zeros((count, len(self._elsewhere.copies)))
+        sides = np.zeros((count, len(self._copies)))
         sides[:, 0] = 1.0
         poses = scattered(pose, robot_covariance, count, self._random)
         cloud = Cloud(poses, np.zeros(count), np.full(count, 1.0 / count), sides, np.zeros(count, dtype=np.intp))
@@ -202,7 +215,7 @@ class ParticleFilter:
 
     def _take(self, cloud: Cloud) -> None:
         """From now on the cloud is this one."""
-        regroup(cloud)
+        cloud.labels, _, _ = regroup(cloud)
         self._cloud = cloud
         self._moments = moments(cloud, cloud.labels, int(cloud.labels.max()) + 1)
         self._pending, self._pending_s = STANDSTILL, 0.0

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.config import Particles
-from estimators.particles.cloud import Cloud, Moments, moments, places, put, regroup
+from estimators.particles.cloud import Cloud, Moments, large, moments, places, put, regroup
 from estimators.particles.clusters import occupied
 from estimators.particles.resampling import by_cluster, effective, kld_size, shares
 from fieldloc import pose as se2
@@ -23,6 +23,7 @@ MIN_ALIVE = 0.2  # what would leave fewer comes in parts
 SMALLEST_PART = 1e-9
 _MOST_PARTS = 60
 _JITTER = 0.3  # of the cluster's own spread, at each resampling
+_FEW_OF_A_PART = 8
 _FEW = 60  # effective particles: fewer are not made to have exact moments
 
 
@@ -63,6 +64,31 @@ def weigh(
     return cloud, of, Weighed(log_evidence, shift)
 
 
+def weigh_where_sent(
+    of: Moments,
+    moved: Cloud,
+    log_correction: FloatArray,
+    log_likelihood: LogLikelihood,
+    config: Particles,
+    random: np.random.Generator,
+) -> tuple[Cloud, Moments, Weighed]:
+    """Of a cloud that was sent to where the likelihood is large, with the log of prior over proposal (n,)."""
+    of_part, _ = log_likelihood(moved, of, 1.0)
+    terms = of_part(1.0) + log_correction[:, None]
+    top = float(terms.max())
+    weights, moved.sides = _weighted(moved, terms - top)
+    total = float(weights.sum())
+    moved.weights = weights / total
+    now = moments(moved, moved.labels, len(of.masses))
+    shift = _mean_shift(of, now)
+    if _needs_resampling(moved, now):
+        moved, now = resample(moved, now, config, random)
+    elif len(now.masses) > 1 or large(now)[0]:
+        moved.labels, _, _ = regroup(moved)
+        now = moments(moved, moved.labels, int(moved.labels.max()) + 1)
+    return moved, now, Weighed(float(np.log(total)) + top, shift)
+
+
 def resample(cloud: Cloud, of: Moments, config: Particles, random: np.random.Generator) -> tuple[Cloud, Moments]:
     """As many particles as the spread asks for; every cluster keeps its mass. Copies are pulled to the mean of their
     cluster and scattered by as much, so mean and covariance stay as they were (Liu & West 2001, sec. 10.3.2)."""
@@ -72,18 +98,22 @@ def resample(cloud: Cloud, of: Moments, config: Particles, random: np.random.Gen
     bins = occupied(kept.poses, config.bin_m, config.bin_rad)
     count = int(np.clip(kld_size(bins, config.kld_error, config.kld_quantile), config.count, config.max_count))
     rows, weights = by_cluster(cloud.weights, cloud.labels, masses, shares(masses, count), random)
-    parts, number = regroup(cloud)
+    labels, parts, number = regroup(cloud)
     local = moments(cloud, parts, number)
+    pooled = np.tensordot(local.masses / local.masses.sum(), local.covariances, axes=1)
     cloud, parts = cloud.take(rows, weights), parts[rows]
+    _, cloud.labels = _counted(labels[rows])
     around = np.sqrt(1.0 - _JITTER**2) * places(cloud, parts, local.means)
     noise = random.standard_normal((len(cloud), 4))
     if number == 1:
         noise = exact(noise, cloud.weights)
         around += _JITTER * (noise @ _root(local.covariances[0]).T)
     else:
-        around += _JITTER * np.einsum("nij,nj->ni", _root(local.covariances)[parts], noise)
+        # a few particles know no spread of their own
+        few = np.bincount(parts, minlength=number) < _FEW_OF_A_PART
+        spread = local.covariances + np.where(few, 1.0, 0.0)[:, None, None] * pooled
+        around += _JITTER * np.einsum("nij,nj->ni", _root(spread)[parts], noise)
     put(cloud, parts, local.means, around)
-    _, cloud.labels = _counted(cloud.labels)
     return cloud, moments(cloud, cloud.labels, int(cloud.labels.max()) + 1)
 
 
