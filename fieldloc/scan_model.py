@@ -16,6 +16,7 @@ from fieldloc.pose import FloatArray, wrap
 BoolArray = NDArray[np.bool_]
 
 GATE = 18.42  # chi-square, 2 degrees of freedom: a right one fails once in ten thousand
+NAMED_GATE = 36.0  # one whose label says which it is; what is worth less than clutter then counts as that
 _LOG_TWO_PI = float(np.log(2 * np.pi))
 _NEAREST_M = 1e-6  # on the landmark any direction will do
 
@@ -88,7 +89,7 @@ class ScanModel:
         # first in a circle as wide as the widest axis at most; a bearing's error counts by the farther of both ranges
         far2 = np.maximum((x * x + y * y)[:, None], r * r)
         apart2 = (x[:, None] - seen_x) ** 2 + (y[:, None] - seen_y) ** 2
-        near = (apart2 < GATE * ((xx + yy)[:, None] + rr + far2 * bb)) & self.may
+        near = (apart2 < self._gates[:, None] * ((xx + yy)[:, None] + rr + far2 * bb)) & self.may
         pose, row, landmark = np.nonzero(near)
         x, y, xx, xy, yy = np.stack([x, y, xx, xy, yy])[:, pose, landmark]
         seen = self._seen[:, row]
@@ -98,7 +99,7 @@ class ScanModel:
         xx = xx + seen[5] + far * seen[11] + far2 * seen[8]
         xy = xy + seen[6] + far * seen[12] + far2 * seen[9]
         yy = yy + seen[7] + far * seen[13] + far2 * seen[10]
-        keep = (yy * ex - 2.0 * xy * ey) * ex + xx * ey * ey < GATE * (xx * yy - xy * xy)
+        keep = (yy * ex - 2.0 * xy * ey) * ex + xx * ey * ey < self._gates[row] * (xx * yy - xy * xy)
         if not keep.all():
             pose, row, landmark, seen = pose[keep], row[keep], landmark[keep], seen[:, keep]
             x, y, ex, ey = x[keep], y[keep], ex[keep], ey[keep]
@@ -158,7 +159,7 @@ class ScanModel:
         peak = self.log_match - self.log_clutter - _LOG_TWO_PI
         det = self.covariance[:, 0, 0] * self.covariance[:, 1, 1] - self.covariance[:, 0, 1] ** 2
         best = np.max(gain, axis=1, initial=-np.inf)
-        return np.asarray(best > (peak - 0.5 * np.log(det) - 0.5 * GATE)[:, None]) & self.may
+        return np.asarray(best > (peak - 0.5 * np.log(det) - 0.5 * self._gates)[:, None]) & self.may
 
     def log_gains(self, poses: FloatArray, landmarks: IntArray, wider: FloatArray | None) -> FloatArray:
         """(n, h, k) log density of observations as landmarks (k,), relative to clutter, at poses (h, 3)."""
@@ -212,6 +213,10 @@ class ScanModel:
         r = seen[2]
         xx, xy, yy = seen[5:8] + r * (seen[11:14] + r * seen[8:11])
         return seen[:2].T, np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
+
+    @cached_property
+    def _gates(self) -> FloatArray:
+        return np.where(self.may.sum(axis=1) == 1, NAMED_GATE, GATE)
 
     @cached_property
     def _repeats(self) -> bool:

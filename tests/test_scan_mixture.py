@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 
 from fieldloc import pose as se2
+from fieldloc.association import Belief
 from fieldloc.detection import Detection
-from fieldloc.field import FieldMap, Landmark
+from fieldloc.factors import LandmarkFactor, PoseFactor
+from fieldloc.field import FieldMap, Landmark, load_field
+from fieldloc.fixes.landmarks import landmark_fix
 from fieldloc.measurements import LandmarkScan
 from fieldloc.pose import FloatArray
+from fieldloc.resolution import sure
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
 
 DETECTION = Detection(clutter=0.03, nothing_right=0.1)
@@ -135,3 +139,220 @@ def test_an_expansion_is_the_logarithm_of_each_assignment_s_density(scan: Landma
     for match, value in matches.items():
         if value > best - 5.0 and max(match) >= 0:
             assert match in found
+
+
+def test_a_true_pose_is_never_gated_out() -> None:
+    # about once in ten thousand each; three of them, a hundred times
+    random = np.random.default_rng(5)
+    missed = 0
+    for _ in range(100):
+        pose = np.array([*random.uniform(-2, 2, 2), random.uniform(-3, 3)])
+        which = random.permutation(len(POSITIONS))[:3]
+        believed = se2.retract(pose, np.array([0.3, 0.3, 0.1]) * random.standard_normal(3))
+        seen = scan_of(pose, POSITIONS[which], noise=random.standard_normal((3, 2)))
+        one = mixture(seen, field_of())
+        near = one.expand(believed[None], np.diag([0.3, 0.3, 0.1])[None] ** 2)
+        missed += not any(np.array_equal(one.matches(int(i)), which) for i in near.ids)
+    assert missed <= 1
+
+
+def test_hypotheses_are_expanded_each_for_itself() -> None:
+    scan, field = CASES["three"]
+    poses = se2.retract(POSE, np.random.default_rng(2).normal(0, 0.05, (12, 3)))
+    poses[5] += 40.0  # which sees nothing of this
+    spread = np.tile(4 * NARROW, (len(poses), 1, 1))
+    one = mixture(scan, field)
+    together = one.expand(poses, spread)
+    assert set(together.parent) == set(range(12)) - {5}
+    for h in range(len(poses)):
+        alone = one.expand(poses[h : h + 1], spread[h : h + 1])
+        mine = together.parent == h
+        order, other = np.argsort(together.ids[mine]), np.argsort(alone.ids)
+        np.testing.assert_array_equal(together.ids[mine][order], alone.ids[other])
+        np.testing.assert_allclose(together.evidence[mine][order], alone.evidence[other], atol=0.05)
+        np.testing.assert_allclose(together.step[mine][order], alone.step[other], atol=2e-3)
+
+
+@each
+def test_the_evidence_is_the_integral_of_likelihood_times_belief(scan: LandmarkScan, field: FieldMap) -> None:
+    one = mixture(scan, field)
+    spread = np.diag([0.05, 0.05, 0.04]) ** 2
+    draws = np.random.default_rng(3).multivariate_normal(np.zeros(3), spread, size=10_000)
+    sampled = np.mean(np.exp(one.log_likelihood(se2.retract(POSE, draws)) - one.log_right))
+    near = one.expand(POSE[None], spread[None])
+    total = np.logaddexp.reduce(np.append(near.evidence, one.log_outlier)) - one.log_right
+    np.testing.assert_allclose(np.exp(total), sampled, rtol=0.06)
+
+
+@pytest.mark.parametrize("case", ["mounted", "surveyed", "labels", "clutter"])
+def test_a_solution_s_weight_is_its_integral_over_poses(case: str) -> None:
+    scan, field = CASES[case]
+    one = mixture(scan, field)
+    found = one.solutions()
+    assert found.log_weights.tolist() == sorted(found.log_weights, reverse=True)
+    draws = np.random.default_rng(4).standard_normal((500, 3))
+    for pose, covariance, weight, solution in zip(
+        found.poses[:3], found.covariances[:3], found.log_weights[:3], found.ids[:3], strict=True
+    ):
+        # importance sampling from an ellipse twice as wide
+        root = 2.0 * np.linalg.cholesky(covariance)
+        log_sampler = [log_normal(root @ d, root @ root.T) for d in draws]
+        log_target = [
+            log_joint(scan, field, one.matches(int(solution)).tolist(), se2.retract(pose, root @ d)) for d in draws
+        ]
+        ratio = np.exp(np.array(log_target) - log_sampler - weight)
+        np.testing.assert_allclose(ratio.mean(), 1.0, atol=0.15)
+
+
+def test_one_landmark_weighs_as_much_as_its_rings_and_fixes_no_pose() -> None:
+    wide = np.tile(np.diag([0.2, 0.1]) ** 2, (1, 1, 1))  # so that a coarse grid will do
+    scan, field = CASES["one"]
+    one = mixture(LandmarkScan(7, scan.labels, scan.range_bearing, wide), field)
+    assert not len(one.solutions().ids)
+    # all rings lie within a metre of the map's landmarks or nearly: by summing over a grid of positions and headings
+    x_min, y_min, x_max, y_max = field.bounds
+    xs, ys = np.arange(x_min - 1, x_max + 1, 0.08), np.arange(y_min - 1, y_max + 1, 0.08)
+    headings = np.arange(-np.pi, np.pi, 2 * np.pi / 100)
+    grid = np.stack(np.meshgrid(xs, ys, headings, indexing="ij"), axis=-1).reshape(-1, 3)
+    every = one.log_likelihood(grid)
+    found = np.sum(np.exp(every) - np.exp(one.log_outlier)) * 0.08**2 * (headings[1] - headings[0])
+    np.testing.assert_allclose(np.exp(one.log_integral), found, rtol=0.05)
+
+
+def test_solutions_are_those_of_trying_every_assignment_that_leaves_one_of_three_out() -> None:
+    scan, field = CASES["three"]
+    one = mixture(scan, field)
+    found = [tuple(one.matches(int(i)).tolist()) for i in one.solutions().ids]
+    poses = dict(zip(found, one.solutions().poses, strict=True))
+    assert found[0] == (0, 1, 3)
+    np.testing.assert_allclose(poses[(0, 1, 3)], POSE, atol=0.06)
+    # brute force: least squares of every assignment, from the pose of every solution and from a ring of starts
+    for match in every_assignment(scan, field):
+        explained = [i for i, j in enumerate(match) if j >= 0]
+        if len(explained) < 2:
+            continue
+        fixes = landmark_fix(
+            field.positions[[match[i] for i in explained]],
+            scan.range_bearing[explained],
+            scan.covariance[explained],
+        )
+        if fixes and fixes[0].chi2 < 8.0 and fixes[0].nonlinearity < 0.3:
+            assert match in found
+            np.testing.assert_allclose(poses[match], fixes[0].pose, atol=0.01)
+
+
+def test_a_chosen_solution_is_a_pose_or_its_landmarks() -> None:
+    scan, field = CASES["surveyed"]
+    one = mixture(scan, field)
+    ids = {tuple(one.matches(int(i)).tolist()): int(i) for i in one.solutions().ids}
+    (factor,) = one.chosen(ids[(0, 1, 3)])
+    assert isinstance(factor, PoseFactor)
+    row = one.solutions().ids.tolist().index(ids[(0, 1, 3)])
+    np.testing.assert_allclose(factor.pose, one.solutions().poses[row], atol=1e-3)
+    np.testing.assert_allclose(factor.covariance, one.solutions().covariances[row], rtol=0.1, atol=1e-5)
+    single = mixture(*CASES["one"])
+    near = single.expand(POSE[None], NARROW[None])
+    (landmark,) = single.chosen(int(near.ids[0]))
+    assert isinstance(landmark, LandmarkFactor)
+    np.testing.assert_array_equal(landmark.landmark, POSITIONS[0])
+    np.testing.assert_allclose(landmark.error(POSE), 0.0, atol=0.1)
+
+
+def test_what_was_seen_just_before_is_chosen_with_a_wide_covariance_but_checked_by_a_narrow_one() -> None:
+    off = np.array([[6.0, 0.0], [-6.0, 0.0], [6.0, 0.0]])
+    for noise, is_pose in ((0.3 * off / 6.0, True), (off, False)):
+        scan = scan_of(POSE, POSITIONS[[0, 1, 3]], noise=noise)
+        one = mixture(labelled(scan, ["0", "1", "3"]), field_of(), wider=50.0)
+        wide = one.expand(POSE[None], 400 * NARROW[None])
+        best = int(wide.ids[np.argmax((np.array([one.matches(int(i)) for i in wide.ids]) >= 0).sum(axis=1))])
+        assert (one.matches(best) >= 0).all()
+        factors = one.chosen(best)
+        assert isinstance(factors[0], PoseFactor) is is_pose
+        if is_pose:
+            news = mixture(labelled(scan, ["0", "1", "3"]), field_of())
+            (fresh,) = news.chosen(int(news.solutions().ids[0]))
+            np.testing.assert_allclose(factors[0].covariance, 50 * fresh.covariance, rtol=0.3)
+
+
+def test_a_repeated_sight_tells_places_apart_no_more_than_it_is_news() -> None:
+    scan, field = CASES["three"]
+    there = se2.retract(POSE, np.array([0.08, 0.0, 0.0]))
+    pair = np.stack([POSE, there])
+    spread = np.tile(1e-6 * np.eye(3), (2, 1, 1))
+    contrast = {}
+    for wider in (1.0, 40.0):
+        near = mixture(scan, field, wider).expand(pair, spread)
+        best = [near.evidence[near.parent == h].max() for h in (0, 1)]
+        contrast[wider] = best[0] - best[1]
+    np.testing.assert_allclose(contrast[40.0], contrast[1.0] / 40.0, rtol=0.05, atol=0.01)
+
+
+def test_the_landmarks_seen_are_those_of_the_likeliest_assignment() -> None:
+    assert mixture(*CASES["three"]).landmarks_seen(POSE) == (0, 1, 3)
+    assert mixture(*CASES["clutter"]).landmarks_seen(POSE) == (0, 1)
+    assert mixture(*CASES["mounted"]).landmarks_seen(POSE) == (0, 1, 3)
+    assert mixture(*CASES["three"]).landmarks_seen(POSE + [0.0, 0.0, 2.0]) == ()
+
+
+def test_only_labels_break_the_map_s_symmetry() -> None:
+    spl = load_field("spl")
+    scan = scan_of(POSE, spl.positions[:2])
+    alike = mixture(scan, spl)
+    assert alike.symmetric
+    twin = se2.compose(spl.symmetries[0], POSE)
+    np.testing.assert_allclose(*alike.log_likelihood(np.stack([POSE, twin])))
+    named = mixture(labelled(scan, [spl.labels[0], None]), spl)
+    assert not named.symmetric
+    here, there = named.log_likelihood(np.stack([POSE, twin]))
+    assert here > there + 5
+    assert len(alike.solutions().ids) >= 2
+    centre = field_of(np.array([[0.0, 0.0], [2.0, 0.0], [-2.0, 0.0]]))
+    assert mixture(labelled(scan_of(POSE, centre.positions[:1]), ["0"]), centre).symmetric
+
+
+def test_a_robot_of_which_99_percent_are_sure_gets_its_factors() -> None:
+    scan, field = CASES["three"]
+    (factor,) = sure(mixture(scan, field), Belief(POSE, NARROW))
+    np.testing.assert_allclose(factor.error(POSE), 0.0, atol=0.06)
+
+
+def test_what_is_of_the_map_by_no_means_is_left_out() -> None:
+    scan, field = CASES["three"]
+    nowhere = labelled(scan, ["north", "south", "east"])
+    assert scan_mixture(nowhere, field, DETECTION, np.ones((5, 2))) is None
+    empty = LandmarkScan(7, (), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    assert scan_mixture(empty, field, DETECTION, np.ones((5, 2))) is None
+    assert scan_mixture(scan, field_of(np.zeros((0, 2))), DETECTION, np.ones((0, 2))) is None
+    some = mixture(labelled(scan, ["0", "south", None]), field)
+    assert some.scan.labels == ("0", None)
+    broken = scan.range_bearing.copy()
+    broken[0], broken[1] = [np.nan, 0.1], [-1.0, 0.1]
+    left = mixture(LandmarkScan(7, scan.labels, broken, scan.covariance), field)
+    assert len(left.scan.labels) == 1
+    with pytest.raises(ValueError, match="positive definite"):
+        mixture(LandmarkScan(7, scan.labels, scan.range_bearing, 0.0 * scan.covariance), field)
+
+
+def test_nonsense_gives_no_value_that_is_not_finite() -> None:
+    random = np.random.default_rng(8)
+    for _ in range(40):
+        n, m = int(random.integers(1, 7)), int(random.integers(1, 9))
+        field = field_of(np.round(random.uniform(-3, 3, (m, 2))), SURVEY * random.integers(0, 2))  # some coincide
+        seen = np.column_stack([random.uniform(0.01, 5, n), np.round(random.uniform(-3, 3, n))])
+        noise = np.tile(np.diag(random.uniform(1e-3, 0.5, 2) ** 2), (n, 1, 1))
+        labels = [None if random.random() < 0.7 else str(random.integers(m)) for _ in range(n)]
+        one = mixture(LandmarkScan(7, tuple(labels), seen, noise), field, random.choice([1.0, 30.0]))
+        poses = np.column_stack([np.round(random.uniform(-3, 3, (9, 2))), random.uniform(-3, 3, 9)])
+        spread = np.tile(np.diag(random.uniform(1e-3, 1.0, 3)) ** 2, (9, 1, 1))
+        near, found = one.expand(poses, spread), one.solutions()
+        for value in (near.constant, near.gradient, near.information, near.evidence, near.step, near.updated):
+            assert np.isfinite(value).all()
+        for value in (found.poses, found.covariances, found.log_weights, one.log_likelihood(poses)):
+            assert np.isfinite(value).all()
+        assert (np.linalg.eigvalsh(found.covariances) > 0).all()
+        assert not np.isnan(one.log_integral)
+        for solution in {*near.ids.tolist(), *found.ids.tolist()}:
+            for factor in one.chosen(solution):
+                assert np.isfinite(factor.error(poses)).all()
+            taken = one.matches(solution)[one.matches(solution) >= 0]
+            assert len(set(taken.tolist())) == len(taken) >= 1
