@@ -19,7 +19,9 @@ from fieldloc.field import FieldMap
 from fieldloc.pose import FloatArray, wrap
 
 _AROUND_M = 1.0  # a robot can stand outside of the lines
-_EDGE_M = 0.3  # how blurred a region's edges are
+_EDGE_M = (
+    0.15  # how blurred its edges are: who stands 0.7 m short of the half way line is not to be taken for beyond it
+)
 _INSIDE_M = 0.5  # of a touch-line, a robot beside it may have come that far
 _FACING_RAD = np.radians(45.0)
 
