@@ -25,6 +25,7 @@ from fieldloc.pose import FloatArray, wrap
 # 1 / m; its foot and edges are one thing within 0.02 rad, and its width is a post's within 0.3 / m of inverse distance.
 _LOG_ANYWHERE = log(0.5)
 _LOG_ONE_THING = log(0.02 * 0.3)
+_MOST_MISFIT = 22.0  # chi-square of two degrees that a post exceeds once in fifty thousand times
 _HALF_LOG_2PI = 0.5 * log(2.0 * pi)
 _BOTH = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
 
@@ -152,11 +153,12 @@ def _weighed(
     log_clutter = -_log_width(camera) - _LOG_ANYWHERE - (by_edges & by_foot) * _LOG_ONE_THING
     by_mount = -whitening @ numbers.by_mount @ root
     log_norm -= log_clutter + log(detection.false_post) - log1p(-detection.false_post) - log(detection.post)
-    fused, fused_covariance, log_rest = _fused(values, whitening, by_mount, by_foot)
-    allowed = np.ones((len(values), len(field.landmarks)), dtype=np.bool_)
+    fused, fused_covariance, log_rest, misfit = _fused(values, whitening, by_mount, by_foot)
+    # what has a foot and edges that do not agree is none of the map's
+    allowed = np.repeat(misfit[:, None] < _MOST_MISFIT, len(field.landmarks), axis=1)
     for row, index in enumerate(indices):
         if index is not None:
-            allowed[row] = np.arange(len(field.landmarks)) == index
+            allowed[row] &= np.arange(len(field.landmarks)) == index
     labelled = any(index is not None for index in indices)
     both = whitening @ _BOTH
     apart = np.concatenate([fused, fused], axis=-1) - values
@@ -179,9 +181,9 @@ def _weighed(
 
 def _fused(
     values: FloatArray, whitening: FloatArray, by_mount: FloatArray, by_foot: NDArray[np.bool_]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Least squares (p, 2) of each post's own numbers under pixel noise and the mount's errors, covariance (p, 2, 2),
-    and the log of what is left of the density (p,) but for the noise's own at zero."""
+    the log of what is left of the density (p,) but for the noise's own at zero, and chi-square (p,) of two degrees."""
     first = np.where(by_foot[:, None], values[:, :2], values[:, 2:])
     offset = values - np.tile(first, 2)
     offset[:, ::2] = wrap(offset[:, ::2])
@@ -194,8 +196,8 @@ def _fused(
     gradient = back @ white
     step = covariance @ gradient
     misfit = (white * white).sum(axis=(1, 2)) - (gradient * step).sum(axis=(1, 2))
-    log_rest = np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(information)[1] - 0.5 * misfit
-    return first + step[:, :2, 0], covariance[:, :2, :2], log_rest
+    log_rest = log(2.0 * pi) - 0.5 * np.linalg.slogdet(information)[1] - 0.5 * misfit
+    return first + step[:, :2, 0], covariance[:, :2, :2], log_rest, misfit
 
 
 @lru_cache(maxsize=16)
