@@ -12,7 +12,7 @@ from fieldloc.fixes.pair_search import search_pairs
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 from fieldloc.scan_assignments import assign
-from fieldloc.scan_model import GATE, ScanModel
+from fieldloc.scan_model import GATE, BoolArray, ScanModel
 
 _ROUNDS = 8
 _CONVERGED = 1e-4  # of the last step, in standard deviations squared
@@ -27,24 +27,30 @@ CHI2_LIMITS = np.array([15.14, 21.11, 25.74, 29.88, 33.72, 37.37, 40.87, 44.26])
 
 class Fits(NamedTuple):
     """matches (c, n), -1 for none; poses (c, 3) of the sensor, covariances (c, 3, 3) of its tangent; log_weights (c,):
-    of the integral over poses, relative to all being clutter."""
+    of the integral over poses, relative to all being clutter. whole (c,): whether the heading is known well enough for
+    the ellipse to be honest."""
 
     matches: IntArray
     poses: FloatArray
     covariances: FloatArray
     log_weights: FloatArray
+    whole: BoolArray
 
     def take(self, rows: IntArray) -> "Fits":
-        return Fits(self.matches[rows], self.poses[rows], self.covariances[rows], self.log_weights[rows])
+        return Fits(
+            self.matches[rows], self.poses[rows], self.covariances[rows], self.log_weights[rows], self.whole[rows]
+        )
 
 
 def whole_poses(model: ScanModel) -> Fits:
     """The likeliest first: all that leave at most `may_be_unexplained` observations unexplained, pass a gate at 99.99 %
-    and are within e^-20 of the best. An outlier near a landmark can hide the right one once in a hundred scans."""
+    and are within e^-20 of the best, at one pose each; those too that leave the heading open, as `whole` says. An
+    outlier near a landmark can hide the right one, about once in a hundred scans that hold one."""
     n = len(model.range_bearing)
     found = _fitted(model, _proposals(model))
     if n > 2 and len(found.matches) and (model.may.sum(axis=1) > 1).any():
-        start = found.take(np.argsort(-found.log_weights, kind="stable")[:_LOOKED_AROUND])
+        start = found.take(np.flatnonzero(found.whole))
+        start = start.take(np.argsort(-start.log_weights, kind="stable")[:_LOOKED_AROUND])
         spread = _LOOSER * start.covariances
         around = assign(model, model.pairs(start.poses, spread), spread)
         enough = (around.matches >= 0).sum(axis=1) >= n - may_be_unexplained(n)
@@ -79,8 +85,7 @@ def _proposals(model: ScanModel) -> IntArray:
 
 
 def _fitted(model: ScanModel, matches: IntArray) -> Fits:
-    """Least squares of each that has two landmarks at least, once each; without those that fit badly or leave the
-    heading open."""
+    """Least squares of each that has two landmarks at least, once each; without those that fit badly."""
     n = matches.shape[1]
     matches = np.unique(matches, axis=0) if len(matches) else matches
     ordered = np.sort(matches, axis=1)
@@ -106,10 +111,13 @@ def _fitted(model: ScanModel, matches: IntArray) -> Fits:
         poses = se2.retract(poses, step)
     chi2 = np.sum(terms.error * weighted[..., 3], axis=(1, 2))
     good = (last < _CONVERGED) & (chi2 < CHI2_LIMITS[np.minimum(explained - 2, len(CHI2_LIMITS) - 1)])
-    good &= covariance[:, 2, 2] < _MAX_HEADING_SIGMA_RAD**2
+    heading_variance = covariance[:, 2, 2]
     volume = 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
+    # a circle has no more headings than this
+    volume -= 0.5 * np.log(np.maximum(heading_variance / (2 * np.pi), 1.0))
     weights = terms.log_peak.sum(axis=1) - 0.5 * chi2 + volume
-    return Fits(matches, poses, covariance, weights).take(np.flatnonzero(good))
+    whole = heading_variance < _MAX_HEADING_SIGMA_RAD**2
+    return Fits(matches, poses, covariance, weights, whole).take(np.flatnonzero(good))
 
 
 def _aligned(model: ScanModel, matches: IntArray) -> FloatArray:

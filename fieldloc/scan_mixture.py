@@ -24,7 +24,7 @@ from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import assign, expand
-from fieldloc.scan_fits import CHI2_LIMITS, whole_poses
+from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
 from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
 
@@ -78,9 +78,9 @@ class ScanMixture:
 
     @cached_property
     def log_integral(self) -> float:
-        """Lower bound: of `solutions`, and of what explains one landmark only. Left out is what explains some, but
-        fewer than `solutions` goes down to."""
-        return float(np.logaddexp.reduce([*self._rings().ravel(), *self._solutions.log_weights]))
+        """Lower bound: of `solutions` and what leaves the heading open beside them, and of what explains one landmark
+        only. Left out is what explains some, but fewer than `solutions` goes down to."""
+        return float(np.logaddexp.reduce([*self._rings().ravel(), *(self._fits.log_weights + self.log_right)]))
 
     def chosen(self, solution: int) -> tuple[Factor, ...]:
         """A pose where two or more landmarks determine it, agree, and leave a Gaussian; each by itself else."""
@@ -145,8 +145,12 @@ class ScanMixture:
         return np.asarray(weights[:, None] + log_share)
 
     @cached_property
+    def _fits(self) -> Fits:
+        return whole_poses(self.model)
+
+    @cached_property
     def _solutions(self) -> PoseSolutions:
-        found = whole_poses(self.model)
+        found = self._fits.take(np.flatnonzero(self._fits.whole))
         if not len(found.poses):
             return PoseSolutions.none()
         poses, covariances = found.poses, found.covariances

@@ -1,6 +1,7 @@
 """A scan's mixture against sums over all assignments, one by one, and integrals over all poses, by sums."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -204,19 +205,38 @@ def test_a_solution_s_weight_is_its_integral_over_poses(case: str) -> None:
         np.testing.assert_allclose(ratio.mean(), 1.0, atol=0.15)
 
 
-def test_one_landmark_weighs_as_much_as_its_rings_and_fixes_no_pose() -> None:
-    wide = np.tile(np.diag([0.2, 0.1]) ** 2, (1, 1, 1))  # so that a coarse grid will do
-    scan, field = CASES["one"]
-    one = mixture(LandmarkScan(7, scan.labels, scan.range_bearing, wide), field)
-    assert not len(one.solutions().ids)
-    # all rings lie within a metre of the map's landmarks or nearly: by summing over a grid of positions and headings
+def integral(one: ScanMixture, field: FieldMap) -> float:
+    """Over positions on and about the field and all headings, without the outlier: a sum over a grid."""
     x_min, y_min, x_max, y_max = field.bounds
     xs, ys = np.arange(x_min - 1, x_max + 1, 0.08), np.arange(y_min - 1, y_max + 1, 0.08)
     headings = np.arange(-np.pi, np.pi, 2 * np.pi / 100)
     grid = np.stack(np.meshgrid(xs, ys, headings, indexing="ij"), axis=-1).reshape(-1, 3)
-    every = one.log_likelihood(grid)
-    found = np.sum(np.exp(every) - np.exp(one.log_outlier)) * 0.08**2 * (headings[1] - headings[0])
-    np.testing.assert_allclose(np.exp(one.log_integral), found, rtol=0.05)
+    every = np.exp(one.log_likelihood(grid)) - np.exp(one.log_outlier)
+    return float(np.sum(every) * 0.08**2 * (headings[1] - headings[0]))
+
+
+def coarse(scan: LandmarkScan, sigma_m: float, sigma_rad: float) -> LandmarkScan:
+    """So that a coarse grid will do."""
+    noise = np.tile(np.diag([sigma_m, sigma_rad]) ** 2, (len(scan.labels), 1, 1))
+    return LandmarkScan(7, scan.labels, scan.range_bearing, noise)
+
+
+def test_one_landmark_weighs_as_much_as_its_rings_and_fixes_no_pose() -> None:
+    scan, field = CASES["one"]
+    one = mixture(coarse(scan, 0.2, 0.1), field)
+    assert not len(one.solutions().ids)
+    np.testing.assert_allclose(np.exp(one.log_integral), integral(one, field), rtol=0.05)
+
+
+@pytest.mark.parametrize(("apart_m", "whole"), [(2.5, True), (0.3, False)])
+def test_two_landmarks_weigh_as_much_as_all_poses_from_which_they_are_seen(apart_m: float, whole: bool) -> None:
+    # first-order volumes, of bananas where the two are close together: a factor of 1.5 is half a nat
+    posts = field_of(np.array([[2.0, -1.0], [2.0, -1.0 + apart_m]]))
+    field = replace(posts, lines=np.array([[[-1.0, -4.0], [5.0, 3.0]]]))  # where the robot can be
+    one = mixture(coarse(scan_of(POSE, field.positions), 0.12, 0.06), field)
+    assert bool(len(one.solutions().ids)) is whole
+    ratio = np.exp(one.log_integral) / integral(one, field)
+    assert 1 / 1.5 < ratio < (1.15 if whole else 1.5)
 
 
 def test_solutions_are_those_of_trying_every_assignment_that_leaves_one_of_three_out() -> None:
