@@ -12,6 +12,7 @@ from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
 _WIDE_M, _WIDE_RAD = 0.6, 0.4
+_TIGHT = 0.15  # metres, radians
 _TAIL = 16.0  # four sigmas
 _ROOTS = 8
 
@@ -134,6 +135,11 @@ def parts_of(cloud: Cloud, of: Moments) -> tuple[IntArray, Moments]:
         return cloud.labels, of
     _, parts, number = regroup(cloud)
     return parts, moments(cloud, parts, number)
+
+
+def tight(of: Moments) -> bool:
+    """Whether the first cluster is so narrow that nothing in it could be told apart."""
+    return bool((np.diagonal(of.covariances[0])[:3] < _TIGHT**2).all())
 
 
 def large(of: Moments) -> NDArray[np.bool_]:

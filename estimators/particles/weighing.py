@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.config import Particles
-from estimators.particles.cloud import Cloud, Moments, large, moments, places, put, regroup
+from estimators.particles.cloud import Cloud, Moments, large, moments, places, put, regroup, tight
 from estimators.particles.clusters import occupied
 from estimators.particles.resampling import by_cluster, effective, kld_size, shares
 from fieldloc import pose as se2
@@ -98,8 +98,11 @@ def resample(cloud: Cloud, of: Moments, config: Particles, random: np.random.Gen
     bins = occupied(kept.poses, config.bin_m, config.bin_rad)
     count = int(np.clip(kld_size(bins, config.kld_error, config.kld_quantile), config.count, config.max_count))
     rows, weights = by_cluster(cloud.weights, cloud.labels, masses, shares(masses, count), random)
-    labels, parts, number = regroup(cloud)
-    local = moments(cloud, parts, number)
+    labels, parts, local = cloud.labels, cloud.labels, of
+    if len(of.masses) > 1 or not tight(of):
+        labels, parts, number = regroup(cloud)
+        local = moments(cloud, parts, number)
+    number = len(local.masses)
     pooled = np.tensordot(local.masses / local.masses.sum(), local.covariances, axes=1)
     cloud, parts = cloud.take(rows, weights), parts[rows]
     _, cloud.labels = _counted(labels[rows])
