@@ -18,6 +18,7 @@ from fieldloc.mixture import IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import FactorStack, LandmarkStack, LineStack, PoseStack
+from fieldloc.tempering import log_peaks, tempered
 from fieldloc.visibility import in_clear_sight
 
 _LOG_NEGLIGIBLE = float(np.log(1e-3))  # against the outlier, where a solution is likeliest
@@ -64,45 +65,41 @@ def image_mixture(
     if len(posts) and not hopeless:
         rings, weights = _rings(posts, image_field)
         weights = weights + anchors.log_weights[-1]
-        kept = np.flatnonzero(weights + _log_peak(rings.covariances) > least)
+        kept = np.flatnonzero(weights + log_peaks(rings.covariances) > least)
         stacks.append((rings.take(kept), weights[kept]))
-    tempered = tuple(_tempered(stack, weights, symmetries, wider) for stack, weights in stacks if len(weights))
-    return SolutionMixture(
-        features.stamp_ns, tempered, log_outlier / wider, symmetric=not posts.labelled, area_m2=image_field.area_m2
+    once = SolutionMixture(
+        features.stamp_ns,
+        tuple(_turned(stack, weights, symmetries) for stack, weights in stacks if len(weights)),
+        log_outlier,
+        symmetric=not posts.labelled,
+        area_m2=image_field.area_m2,
     )
+    return tempered(once, wider)
 
 
-def _tempered(
-    stack: FactorStack, log_weights: FloatArray, symmetries: FloatArray, wider: float
-) -> tuple[FactorStack, FloatArray]:
-    """The densities to the power of 1 / wider, with copies under the map's symmetries.
-
-    The copies have equal weights to the last digit, as nothing is worked out twice. Landmarks have theirs on the map.
-    """
-    peak = _log_peak(stack.covariances)
-    size = stack.covariances.shape[-1]
-    log_weights = (log_weights + peak) / wider - peak + 0.5 * size * np.log(wider)
+def _turned(stack: FactorStack, log_weights: FloatArray, symmetries: FloatArray) -> tuple[FactorStack, FloatArray]:
+    """With copies under the map's symmetries, of equal weights to the last digit, as nothing is worked out twice.
+    Landmarks have theirs on the map."""
+    count = 1 + len(symmetries)
     match stack:
         case PoseStack():
             poses = [stack.poses, *(se2.compose(turn, stack.poses) for turn in symmetries)]
-            covariances = np.tile(wider * stack.covariances, (len(poses), 1, 1))
-            return PoseStack(np.concatenate(poses), covariances), np.tile(log_weights, len(poses))
+            copies: FactorStack = PoseStack(np.concatenate(poses), np.tile(stack.covariances, (count, 1, 1)))
         case LineStack():
             turns = np.concatenate([np.zeros((1, 3)), symmetries])
             normal = stack.normal_rad + turns[:, 2:]
             c, s = np.cos(normal), np.sin(normal)
             x, y = turns[:, :1], turns[:, 1:2]
-            turned = LineStack(
+            copies = LineStack(
                 se2.wrap(stack.heading_rad + turns[:, 2:]).ravel(),
                 se2.wrap(normal).ravel(),
                 (stack.offset_m + c * x + s * y).ravel(),
                 (stack.along_m + (c * y - s * x)[..., None]).reshape(-1, 2),
-                np.tile(wider * stack.covariances, (len(turns), 1, 1)),
+                np.tile(stack.covariances, (count, 1, 1)),
             )
-            return turned, np.tile(log_weights, len(turns))
-        case LandmarkStack():
-            return LandmarkStack(stack.landmarks, stack.seen, wider * stack.covariances), log_weights
-    raise TypeError(f"no stack of an image: {stack}")
+        case _:
+            return stack, log_weights
+    return copies, np.tile(log_weights, count)
 
 
 def _line_stack(anchors: Anchors, rows: IntArray) -> LineStack:
@@ -133,8 +130,3 @@ def _rings(posts: PostsSeen, field: ImageMap) -> tuple[LandmarkStack, FloatArray
     # from a density of bearing and inverse distance to one of the place
     log_weights = posts.log_fused + 3.0 * np.log(distance)
     return LandmarkStack(field.landmarks[mark], seen[row], covariances[row]), log_weights[row]
-
-
-def _log_peak(covariances: FloatArray) -> FloatArray:
-    """Log density at zero of normal errors (k, m, m)."""
-    return np.asarray(-0.5 * np.linalg.slogdet(2 * np.pi * covariances)[1])

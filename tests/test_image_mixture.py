@@ -7,16 +7,23 @@ import numpy as np
 import pytest
 from image_scene import CAMERA, MOUNT, see
 
+from estimators.base import Estimate
+from estimators.config import Config
+from estimators.ekf import Ekf
 from fieldloc import pose as se2
+from fieldloc.association import Belief
 from fieldloc.camera import Camera
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.detection import Detection
 from fieldloc.factors import LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.field import FieldMap, Landmark, load_field
 from fieldloc.image_mixture import image_mixture
-from fieldloc.measurements import ImageFeatures, LineObservation, PostObservation
+from fieldloc.measurements import ImageFeatures, LineObservation, Odometry, PostObservation
 from fieldloc.mixture import MixtureFactor
+from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
+from fieldloc.repetition import ErrorCorrelation
+from fieldloc.resolution import sure
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import LandmarkStack, LineStack, PoseStack
 
@@ -347,3 +354,34 @@ def test_posts_without_a_foot_are_as_far_as_they_are_narrow() -> None:
     posts = tuple(replace(post, foot_px=None, foot_covariance_px2=None) for post in features.posts)
     found = mixture_of(replace(features, posts=posts))
     assert misfits(found, TOWARDS_GOAL).min() < 1.0
+
+
+def test_a_walk_on_a_soccer_field_is_followed_by_images_alone() -> None:
+    """By an estimator that knows one place only, of what is sure."""
+    random = np.random.default_rng(3)
+    # every image has errors of its own here
+    ekf, builder = Ekf(Config()), MixtureBuilder(FIELD, CAMERA, ErrorCorrelation(image_s=0.0))
+    pose = np.array([-1.0, -0.5, 0.0])
+    ekf.start(Estimate(0, pose + [0.05, -0.05, 0.03], np.diag([0.1, 0.1, 0.08]) ** 2))
+    velocity = np.array([0.15, 0.0, 0.1])
+    errors = []
+    for step in range(1, 200):
+        stamp_ns = step * 100_000_000
+        ekf.predict(Odometry(stamp_ns - 100_000_000, velocity * [1.05, 1.0, 0.95]))
+        pose = se2.retract(pose, velocity * 0.1)
+        if step % 10 == 0:
+            velocity = np.array([0.15, 0.0, random.uniform(-0.4, 0.4) - 0.3 * pose[2]])
+        if step % 5 == 0:
+            ekf.advance(stamp_ns)
+            now = ekf.estimate()
+            assert now is not None
+            found = builder.build(see(FIELD, pose, stamp_ns, random, 0.5))
+            if found is not None:
+                belief = Belief(now.pose, se2.rotate_covariance(now.covariance, -now.pose[2]))
+                for factor in sure(found, belief):
+                    ekf.update(factor)
+                builder.remember(found, now.pose)
+            now = ekf.estimate()
+            assert now is not None
+            errors.append(np.linalg.norm(now.pose[:2] - pose[:2]))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.12
