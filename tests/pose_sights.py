@@ -25,6 +25,8 @@ OWN_HALF = Region("own-half", np.array([[-HALF_X_M, -HALF_Y_M, 0.0, HALF_Y_M]]),
 VOLUME = 4.0 * HALF_X_M * HALF_Y_M * 2.0 * np.pi
 SIGMAS = np.array([0.1, 0.1, 0.05])
 WRONG = 0.05
+P3 = np.diag([0.2, 0.2, 0.05]) ** 2
+START = np.array([1.0, -0.5, 0.3])
 
 
 def of_poses(
@@ -110,3 +112,21 @@ def stroll(
             if estimate is not None and ambiguity is not None:
                 out.append(Seen(0.1 * k, truth[k], estimate, ambiguity))
     return estimator, out
+
+
+def now(estimator: MixtureFilter) -> Ambiguity:
+    ambiguity = estimator.ambiguity()
+    assert ambiguity is not None
+    return ambiguity
+
+
+def started(config: Config = PLAIN, remember: bool = False, stamp_ns: int = 0) -> MixtureFilter:
+    estimator = MixtureFilter(config, remember=remember)
+    estimator.start(Estimate(stamp_ns, START, se2.rotate_covariance(P3, START[2])))
+    return estimator
+
+
+def as_table(ambiguity: Ambiguity) -> FloatArray:
+    """(n, 4) weight and pose, in an order that depends on nothing else."""
+    table = np.array([[h.weight, *h.pose] for h in ambiguity.hypotheses])
+    return table[np.lexsort(np.round(table.T, 5))]

@@ -5,11 +5,26 @@ from itertools import product
 
 import numpy as np
 import pytest
-from pose_sights import FIELD, HALF_TURN, LOPSIDED, OWN_HALF, SIGMAS, VOLUME, of_poses, sight, stroll
+from pose_sights import (
+    FIELD,
+    HALF_TURN,
+    LOPSIDED,
+    OWN_HALF,
+    P3,
+    SIGMAS,
+    START,
+    VOLUME,
+    as_table,
+    now,
+    of_poses,
+    sight,
+    started,
+    stroll,
+)
 from walks import PLAIN, Event, feed, ns, velocities
 
-from estimators.base import Ambiguity, Estimate
-from estimators.config import Compass, Config, Mixture
+from estimators.base import Estimate
+from estimators.config import Config, Mixture
 from estimators.ekf import Ekf
 from estimators.mixture import MixtureFilter, merge
 from fieldloc import pose as se2
@@ -17,32 +32,12 @@ from fieldloc.factors import HeadingFactor, LandmarkFactor, PoseFactor
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
 
-P3 = np.diag([0.2, 0.2, 0.05]) ** 2
-START = np.array([1.0, -0.5, 0.3])
 EXACT = Mixture(max_hypotheses=5000, prune_below=1e-15, evidence_share=1.0, kidnaps_per_min=0.0)
 LITERAL = replace(PLAIN, mixture=EXACT)
 
 
 def log_normal(error: FloatArray, covariance: FloatArray) -> float:
     return float(-0.5 * (error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(2 * np.pi * covariance)[1]))
-
-
-def now(estimator: MixtureFilter) -> Ambiguity:
-    ambiguity = estimator.ambiguity()
-    assert ambiguity is not None
-    return ambiguity
-
-
-def started(config: Config = PLAIN, remember: bool = False, stamp_ns: int = 0) -> MixtureFilter:
-    estimator = MixtureFilter(config, remember=remember)
-    estimator.start(Estimate(stamp_ns, START, se2.rotate_covariance(P3, START[2])))
-    return estimator
-
-
-def as_table(ambiguity: Ambiguity) -> FloatArray:
-    """(n, 4) weight and pose, in an order that depends on nothing else."""
-    table = np.array([[h.weight, *h.pose] for h in ambiguity.hypotheses])
-    return table[np.lexsort(np.round(table.T, 5))]
 
 
 # -- against the exact answer ------------------------------------------------------------------------------------------
@@ -98,6 +93,14 @@ def test_merging_keeps_the_mean_and_the_covariance_of_all() -> None:
     covariance = np.einsum("k,kij->ij", weights, covariances + around[:, :, None] * around[:, None, :])
     np.testing.assert_allclose(merged.pose, mean, atol=1e-3)  # of 0.1 m, turned by 0.02 rad
     np.testing.assert_allclose(merged.covariance, covariance, atol=5e-4)
+
+
+def test_what_can_be_told_apart_is_not_merged() -> None:
+    estimator = MixtureFilter(replace(PLAIN, mixture=EXACT))
+    estimator.start_in(LOPSIDED, 0)
+    poses = se2.retract(START, np.array([[0.0, 0.0, 0.0], [3.0 * SIGMAS[0], 0.0, 0.0]]))
+    estimator.observe(of_poses(0, poses, np.log([0.6, 0.4]), -40.0))
+    np.testing.assert_allclose([h.weight for h in now(estimator).hypotheses], [0.6, 0.4], atol=1e-9)
 
 
 def test_one_hypothesis_is_an_extended_kalman_filter() -> None:
@@ -179,6 +182,15 @@ def test_the_lost_are_found_as_bayes_says() -> None:
     np.testing.assert_allclose(now(estimator).hypotheses[0].pose, START)
 
 
+def test_a_pose_and_its_twin_are_found_as_one_is() -> None:
+    estimator = MixtureFilter(LITERAL)
+    estimator.start_in(FIELD, 0)
+    both = np.stack([START, se2.compose(HALF_TURN[0], START)])
+    estimator.observe(of_poses(0, both, np.log([0.8, 0.8]), np.log(0.2 / VOLUME), symmetric=True))
+    assert now(estimator).lost == pytest.approx(0.2 / (0.8 + 0.8 + 0.2), abs=1e-9)
+    assert now(estimator).mirrored == pytest.approx(0.5, abs=1e-9)
+
+
 def test_the_robot_may_have_been_carried_the_longer_nothing_is_seen() -> None:
     estimator = started(Config(mixture=Mixture(kidnaps_per_min=0.5)))
     for minutes in (0.0, 1.0, 3.0):
@@ -227,93 +239,15 @@ def test_no_side_is_favoured_without_evidence_and_none_is_lost() -> None:
     assert len(sides) == 1
 
 
-def test_one_labelled_sight_tells_the_side() -> None:
+@pytest.mark.parametrize("where", [START, se2.compose(HALF_TURN[0], START)], ids=["here", "there"])
+def test_one_labelled_sight_tells_the_side(where: FloatArray) -> None:
     estimator = MixtureFilter(Config())
     estimator.start_in(FIELD, 0)
     twin = se2.compose(HALF_TURN[0], START)
     for k in range(3):
         estimator.observe(of_poses(ns(0.1 * k), np.stack([START, twin]), np.log([0.5, 0.5]), -20.0, symmetric=True))
     assert now(estimator).mirrored == pytest.approx(0.5, abs=1e-9)
-    estimator.observe(of_poses(ns(10.0), START[None], np.zeros(1), np.log(0.05 / VOLUME)))
+    estimator.observe(of_poses(ns(10.0), where[None], np.zeros(1), np.log(0.05 / VOLUME)))
     assert now(estimator).mirrored < 0.01
-    np.testing.assert_allclose(now(estimator).hypotheses[0].pose, START, atol=0.01)
+    np.testing.assert_allclose(now(estimator).hypotheses[0].pose, where, atol=0.01)
     assert estimator.events[-1].kind == "decision"
-
-
-# -- stamps, choices, words --------------------------------------------------------------------------------------------
-
-
-def play(shift_ns: int) -> tuple[FloatArray, MixtureFilter]:
-    random = np.random.default_rng(2)
-    estimator = MixtureFilter(Config(), remember=True)
-    estimator.start_in(FIELD, shift_ns)
-    pose = START
-    for k, velocity in enumerate(velocities(40)):
-        estimator.predict(Odometry(ns(0.1 * k) + shift_ns, velocity))
-        if k % 4 == 0:
-            estimator.observe(sight(ns(0.1 * k) + shift_ns, pose, random, decoys=1, wrong=0.0))
-        pose = se2.compose(pose, se2.exp(0.1 * velocity))
-    return as_table(now(estimator)), estimator
-
-
-def test_stamps_may_be_negative() -> None:
-    np.testing.assert_allclose(play(0)[0], play(-ns(1e5))[0], atol=1e-9)
-
-
-def test_what_comes_late_or_twice_is_taken_at_once() -> None:
-    estimator = started()
-    estimator.advance(ns(2))
-    for stamp_s in (1.0, 1.0, 2.0):
-        estimator.observe(of_poses(ns(stamp_s), START[None], np.zeros(1), -20.0))
-        assert now(estimator).stamp_ns == ns(2)
-    np.testing.assert_allclose(now(estimator).hypotheses[0].pose, START, atol=1e-6)
-
-
-def test_the_choices_that_were_right_are_remembered() -> None:
-    random = np.random.default_rng(2)
-    estimator = MixtureFilter(Config(), remember=True)
-    estimator.start_in(LOPSIDED, 0)
-    right = []
-    for k in range(30):
-        truth = START if k < 15 else np.array([-3.0, 2.0, -2.0])  # carried in between
-        one = sight(ns(0.3 * k), truth, random, decoys=2, symmetric=False)
-        near = np.linalg.norm(one.stacks[0][0].poses[:, :2] - truth[:2], axis=1)  # type: ignore[attr-defined]
-        right.append(int(near.argmin()) if near.min() < 0.5 else -1)
-        estimator.observe(one)
-    best = estimator.sequences(1)[0]
-    assert best.choices.tolist() == right
-    assert best.births == (
-        right.index(next(r for r in right if r >= 0)),
-        15 + next(i for i, r in enumerate(right[15:]) if r >= 0),
-    )
-    assert best.log_weight > np.log(0.9)
-    with pytest.raises(ValueError, match="remember"):
-        started().sequences(1)
-
-
-def test_both_sides_are_remembered() -> None:
-    _, estimator = play(0)
-    one, other = estimator.sequences(2)
-    assert {one.copy, other.copy} == {0, 1}
-    np.testing.assert_array_equal(one.choices, other.choices)
-    assert one.log_weight == pytest.approx(np.log(0.5), abs=0.01)
-
-
-def test_a_hypothesis_keeps_its_number_and_no_two_have_the_same() -> None:
-    _, seen = stroll(9, 20.0, config=Config())
-    tracks = [one.ambiguity.hypotheses[0].track for one in seen if one.stamp_s > 5.0]
-    assert len(set(tracks)) == 1
-    for one in seen:
-        numbers = [h.track for h in one.ambiguity.hypotheses]
-        assert len(set(numbers)) == len(numbers)
-        assert -1 not in numbers
-
-
-def test_the_compass_offset_settings_are_used() -> None:
-    compass = HeadingFactor(0, START[2] + 0.3, np.array([[0.01]]), by_compass=True)
-    turned = []
-    for sigma in (1e-6, 0.5):
-        estimator = started(replace(PLAIN, compass=Compass(offset_sigma_rad=sigma)))
-        estimator.update(compass)
-        turned.append(abs(now(estimator).hypotheses[0].pose[2] - START[2]))
-    assert turned[1] < 0.1 * turned[0]
