@@ -22,6 +22,8 @@ NO_HINT = -2
 _OFFSET = 3
 _CALIBRATION = slice(4, 10)
 _STATES = 10
+_LEARNT_FROM = 60  # sights after a seed
+_ROUGHLY = np.diag([0.3, 0.3, 0.15]) ** 2
 _HINT_WORTH = 10.0  # a hint is followed while it is at most so much (log) less likely than the best
 
 
@@ -66,7 +68,7 @@ def follow(recorded: Recorded, seeds: tuple[Seed, ...], config: Config) -> Track
     nodes = len(recorded.stamps_ns)
     sweep.run(range(min(seed.node for seed in seeds), nodes), forwards=True)
     sweep.begin_again()
-    sweep.run(range(max(seed.node for seed in seeds), -1, -1), forwards=False)
+    sweep.run(range(sweep.last_begin, -1, -1), forwards=False)
     return Tracks(sweep.log_evidence, sweep.choices, sweep.margins, sweep.poses, sweep.covariance[:, :3, :3])
 
 
@@ -75,6 +77,10 @@ class _Sweep:
         self._recorded, self._seeds, self._compass = recorded, seeds, config.compass
         tracks, nodes, mixtures = len(seeds), len(recorded.stamps_ns), len(recorded.mixtures)
         self._hints = np.array([seed.hints for seed in seeds]).reshape(tracks, mixtures)
+        self._forwards = True
+        self._seed_nodes = np.array([seed.node for seed in seeds])
+        self._seed_indices = np.array([seed.at for seed in seeds])
+        self._from = self._seed_indices.copy()
         self._copies = np.array([seed.copy for seed in seeds])
         self._at_node: dict[int, list[int]] = {}
         for index, (node, _) in enumerate(recorded.mixtures):
@@ -93,13 +99,28 @@ class _Sweep:
         self.covariance = np.tile(np.diag(prior), (tracks, 1, 1))
 
     def begin_again(self) -> None:
-        """From the seeds, with what has been learnt of the odometry. The compass' offset is another one by then."""
+        """A while after the seeds, so that it is known well where they are; with what has been learnt of the odometry.
+
+        The compass' offset is another one by then. What is seen again up to the seed is read as it was before.
+        """
         self._alive[:] = False
         self._rest[:, 0] = 0.0
         self.covariance[:, _OFFSET] = self.covariance[:, :, _OFFSET] = 0.0
         self.covariance[:, _OFFSET, _OFFSET] = self._compass.offset_sigma_rad**2
-        self.covariance[:, :3] = 0.0
-        self.covariance[:, :, :3] = 0.0
+        self._forwards = False
+        self._begins = {}
+        places = np.array([not mixture.by_compass for _, mixture in self._recorded.mixtures])
+        for track, seed in enumerate(self._seeds):
+            known = places & (self.choices[track] >= 0) & (self._hints[track] != NO_HINT)
+            sights = seed.at + 1 + np.flatnonzero(known[seed.at + 1 :])[:_LEARNT_FROM]
+            self._from[track] = sights[-1] if len(sights) else seed.at - 1
+            node = self._recorded.mixtures[sights[-1]][0] if len(sights) else seed.node
+            self._begins.setdefault(node, []).append(track)
+            self._hints[track, seed.at :] = self.choices[track, seed.at :]
+
+    @property
+    def last_begin(self) -> int:
+        return max(self._begins)
 
     def run(self, nodes: range, forwards: bool) -> None:
         motions, stamps_ns = self._recorded.motions, self._recorded.stamps_ns
@@ -110,21 +131,23 @@ class _Sweep:
                 self._move(motions[before], elapsed_s, forwards)
             begin = self._begins.get(node, [])
             for track in begin:
-                self._begin(track)
+                self._begin(track, node)
             at = self._at_node.get(node, [])
             for index in at if forwards else reversed(at):
-                fresh = [t for t in begin if (index <= self._seeds[t].at if forwards else index >= self._seeds[t].at)]
+                fresh = [t for t in begin if (index <= self._from[t] if forwards else index > self._from[t])]
                 self._see(index, np.setdiff1d(np.flatnonzero(self._alive), fresh))
-            alive = self._alive
-            self.poses[alive, node] = self._pose[alive]
+            new = self._alive if forwards else self._alive & (node < self._seed_nodes)
+            self.poses[new, node] = self._pose[new]
 
-    def _begin(self, track: int) -> None:
+    def _begin(self, track: int, node: int) -> None:
         seed = self._seeds[track]
         self._alive[track] = True
-        self._pose[track] = seed.pose
         self.covariance[track, :3] = 0.0
         self.covariance[track, :, :3] = 0.0
-        self.covariance[track, :3, :3] = seed.covariance
+        if self._forwards or node == seed.node:
+            self._pose[track], self.covariance[track, :3, :3] = seed.pose, seed.covariance
+        else:
+            self._pose[track], self.covariance[track, :3, :3] = self.poses[track, node], _ROUGHLY
         self.log_evidence[track, seed.at] = seed.log_weight
         self.choices[track, seed.at] = seed.choice
 
@@ -166,9 +189,10 @@ class _Sweep:
         seen = to_seen @ across
         near = mixture.expand(poses, seen)
         rows, margins, log_evidence = picked(near, len(tracks), mixture.log_outlier, self._hints[tracks, index])
-        self.margins[tracks, index] = margins
-        self.log_evidence[tracks, index] = log_evidence
-        self.choices[tracks, index] = np.where(rows >= 0, near.ids[rows] if len(near.ids) else -1, -1)
+        new = np.ones(len(tracks), dtype=bool) if self._forwards else index < self._seed_indices[tracks]
+        self.margins[tracks[new], index] = margins[new]
+        self.log_evidence[tracks[new], index] = log_evidence[new]
+        self.choices[tracks[new], index] = np.where(rows >= 0, near.ids[rows] if len(near.ids) else -1, -1)[new]
         hit = np.flatnonzero(rows >= 0)
         if not len(hit):
             return

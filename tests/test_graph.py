@@ -330,3 +330,71 @@ def test_a_hundred_thousand_poses_are_solved() -> None:
     guess = se2.retract(np.array(truth), np.array([0.1, 0.1, 0.05]) * random.standard_normal((count, 3)))
     solution = solve(chain_of([step] * (count - 1), every, guess), Config())
     np.testing.assert_allclose(solution.poses[:, :2], np.array(truth)[:, :2], atol=0.01)
+
+
+def compass_chain(offset_rad: float, seed: int, nodes: int = 400) -> tuple[Chain, FloatArray]:
+    """Whole poses now and then, a compass all the time that is off by an offset."""
+    random = np.random.default_rng(seed)
+    commands = velocities(nodes - 1)
+    motions = motions_of(commands)
+    truth = walk(np.array([[0.3, -0.2, 2.8]]), commands, 0.1, random)[:, 0]
+    factors: list[tuple[int, Factor]] = []
+    for k, pose in enumerate(truth):
+        if k % 20 == 0:
+            factors.append((k, PoseFactor(ns(0.1 * k), se2.retract(pose, 0.05 * random.standard_normal(3)), P3 / 16)))
+        if k % 2 == 0:
+            heading = float(se2.wrap(pose[2] + offset_rad + 0.1 * random.standard_normal()))
+            factors.append((k, HeadingFactor(ns(0.1 * k), heading, np.array([[0.01]]), by_compass=True)))
+    return chain_of(motions, factors, truth), truth
+
+
+@pytest.mark.parametrize("config", [PLAIN, Config()], ids=["plain", "calibrated"])
+@pytest.mark.parametrize("offset_rad", [0.0, 0.3, -0.3])
+def test_the_compass_offset_is_found_and_does_not_turn_the_way(offset_rad: float, config: Config) -> None:
+    chain, truth = compass_chain(offset_rad, 3)
+    solution = solve(chain, config)
+    off = solution.compass_rad - offset_rad
+    # one each second, from five readings of 0.1 rad and its neighbours
+    assert np.abs(off.mean()) < 0.04
+    assert np.sqrt(np.mean(off**2)) < 0.08
+    assert (off**2 / solution.compass_variance_rad2).mean() < 2.0
+    turned = se2.wrap(solution.poses[:, 2] - truth[:, 2])
+    assert np.abs(turned.mean()) < 0.03
+
+
+def test_what_is_known_of_the_compass_makes_the_heading_surer() -> None:
+    chain, _ = compass_chain(0.1, 5)
+    without = replace(chain, factors=tuple(one for one in chain.factors if isinstance(one[1], PoseFactor)))
+    config = replace(PLAIN, graph=GAUSSIAN)
+    with_it, alone = solve(chain, config), solve(without, config)
+    assert len(alone.compass_rad) == 0
+    assert (with_it.covariances[:, 2, 2] < alone.covariances[:, 2, 2] * (1 + 1e-9)).all()
+
+
+def test_a_solution_nearby_saves_the_search_and_is_the_same() -> None:
+    chain = mixed_chain(4)
+    config = Config(graph=GAUSSIAN)
+    first = solve(chain, config)
+    again = solve(replace(chain, guess=first.poses), config, first)
+    np.testing.assert_allclose(again.poses, first.poses, atol=1e-4)
+    np.testing.assert_allclose(again.log_determinant, first.log_determinant, atol=1e-2)
+
+
+def test_the_log_determinant_is_that_of_the_dense_information() -> None:
+    chain = mixed_chain(2)
+    solution = solve(chain, replace(PLAIN, graph=GAUSSIAN))
+    n = len(chain.guess)
+    information = np.zeros((3 * n, 3 * n))
+    information[:3, :3] += np.diag([1e-4, 1e-4, 1e-2])
+    for k, motion in enumerate(chain.motions):
+        error = se2.local(motion.before_from_after, se2.between(solution.poses[k], solution.poses[k + 1]))
+        after = se2.right_jacobian_inverse(error)
+        before = -after @ se2.adjoint(se2.inverse(se2.between(solution.poses[k], solution.poses[k + 1])))
+        row = np.zeros((3, 3 * n))
+        row[:, 3 * k : 3 * k + 3], row[:, 3 * k + 3 : 3 * k + 6] = before, after
+        information += row.T @ np.linalg.solve(motion.covariance + 1e-8 * np.eye(3), row)
+    for k, factor in chain.factors:
+        jacobian = factor.jacobian(solution.poses[k])
+        at = slice(3 * k, 3 * k + 3)
+        information[at, at] += jacobian.T @ np.linalg.solve(factor.covariance, jacobian)
+    np.testing.assert_allclose(solution.log_determinant, np.linalg.slogdet(information)[1], atol=1e-3)

@@ -7,7 +7,10 @@ import pytest
 from walks import ns, velocities, walk
 
 from estimators.base import Ambiguous, Estimate, MixtureEstimator
+from estimators.chain import Recorded
 from estimators.config import Config
+from estimators.motion import HeldVelocity
+from estimators.multi_start import multi_start
 from estimators.smoother import Smoother
 from fieldloc import pose as se2
 from fieldloc.heading_mixture import HeadingMixture
@@ -213,3 +216,28 @@ def test_what_comes_after_looking_back_is_taken_in_again() -> None:
     assert after is not None
     assert after.stamp_ns > before.stamp_ns
     assert smoother.trajectory()[-1].stamp_ns == ns(20.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_all_solutions_under_a_robust_kernel_from_many_starts_agree(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    commands = velocities(120) * 0.6
+    truth = walk(START[None], commands, 0.1, random)[:, 0]
+    held, smoother, motions, mixtures = HeldVelocity(Config().motion), Smoother(Config()), [], []
+    smoother.start_in(ONE_SIDED, 0)
+    held.advance(0)
+    for k, command in enumerate(commands):
+        odometry = Odometry(ns(0.1 * k), command)
+        smoother.predict(odometry)
+        if (motion := held.advance(ns(0.1 * k))) is not None:
+            motions.append(motion)
+        held.hold(odometry)
+        if k % 4 == 3:
+            mixtures.append((k, sight(ns(0.1 * k), truth[k], random, False, 0.2)))
+            smoother.observe(mixtures[-1][1])
+    recorded = Recorded(tuple(ns(0.1 * k) for k in range(120)), tuple(motions), (), tuple(mixtures))
+    best = multi_start(recorded, most_starts=16)[0]
+    ours = np.array([estimate.pose for estimate in smoother.trajectory()])
+    # decoys and the odometry's calibration, which only one of the two knows, are the difference
+    assert rms(np.hypot(*(best.poses - ours)[:, :2].T)) < 0.1
+    assert rms(np.hypot(*(best.poses - truth[:120])[:, :2].T)) < 0.15
