@@ -8,7 +8,10 @@ class Detection:
     """post: probability that a goal post in sight and in range is seen; post_range_m: up to where that holds, beyond it
     a post that is not seen says less, and at half as far again nothing. clutter: of a thing seen, that it is none of
     the map's; false_post, false_line: the same of what an image shows, where people, circles and carpets' borders pass
-    for posts and lines. nothing_right: of an image or scan, that nothing in it is what it seems to be."""
+    for posts and lines. nothing_right: of an image or scan, that nothing in it is what it seems to be.
+
+    ValueError for a probability that leaves no doubt, and a range that is none.
+    """
 
     post: float = 0.7
     clutter: float = 0.02
@@ -16,3 +19,10 @@ class Detection:
     post_range_m: float = 4.5
     false_post: float = 0.1
     false_line: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("post", "clutter", "nothing_right", "false_post", "false_line"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be above 0 and below 1")
+        if not self.post_range_m > 0.0:
+            raise ValueError(f"post_range_m is {self.post_range_m}, must be positive")

@@ -1,4 +1,19 @@
-"""The posts and lines of an image as a mixture: all poses from which it can have been taken."""
+"""The posts and lines of an image as a mixture: all poses from which it can have been taken.
+
+    p(image | pose) = right * sum over readings of p(lines, which they are | pose, mount)
+                                    * product over posts of   false_post * u             if it is none of the map's
+                                                              (1 - false_post) * post * N  if it is that landmark
+                                    * product over landmarks of 1 - post, where one in clear sight is not seen,
+                              integrated over the errors of the mount, which all share
+                    + (1 - right) * what lines and posts are if none is the map's
+
+The readings are whole poses (of lines; of lines of one direction and posts; of two posts), lines of one direction
+alone, and single posts alone whose distance is known to 30 %: farther ones have no circle that were a Gaussian.
+
+Complete up to: so many false lines as `fieldloc.fixes.line_solutions` takes for granted; at most two lines that are all
+false where posts alone are right; gates that what is right fails once in ten thousand times; robots on the map or a
+metre around it; and readings nowhere a thousandth as likely as that nothing is right.
+"""
 
 import numpy as np
 
@@ -29,7 +44,14 @@ _UNSURE_DISTANCE = 0.3  # relative: beyond it a single post's distance is no Gau
 def image_mixture(
     features: ImageFeatures, camera: Camera, field: FieldMap, detection: Detection, wider: float
 ) -> MixtureFactor | None:
-    """wider: by how much variances are to be widened, as the image shows much the same as the last one."""
+    """wider: by how much variances are to be widened, as the image shows much the same as the last one; the rest of the
+    evidence counts for as much less (`fieldloc.tempering`).
+
+    None where nothing of use is seen. Symmetric unless a post has a name, and then closed under the map's symmetries.
+    ValueError for a post with a foot_px but no foot_covariance_px2.
+    """
+    if not np.isfinite(features.mount.covariance).all():
+        return None
     image_field = image_map(field)
     values, vectors = np.linalg.eigh(features.mount.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -385,3 +385,20 @@ def test_a_walk_on_a_soccer_field_is_followed_by_images_alone() -> None:
             assert now is not None
             errors.append(np.linalg.norm(now.pose[:2] - pose[:2]))
     assert np.sqrt(np.mean(np.square(errors))) < 0.12
+
+
+@pytest.mark.parametrize("name", ["post", "clutter", "nothing_right", "false_post", "false_line"])
+@pytest.mark.parametrize("value", [0.0, 1.0, np.nan])
+def test_detection_leaves_a_doubt(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        Detection(**{name: value})
+
+
+def test_detection_needs_a_range() -> None:
+    with pytest.raises(ValueError, match="post_range_m"):
+        Detection(post_range_m=0.0)
+
+
+def test_a_mount_of_unknown_covariance_is_no_mixture() -> None:
+    features = replace(exact(), mount=replace(MOUNT, covariance=np.full((4, 4), np.inf)))
+    assert image_mixture(features, CAMERA, FIELD, Detection(), 1.0) is None
