@@ -7,6 +7,7 @@ landmark narrows the pose down before the next one is held against the map.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray
@@ -127,6 +128,19 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
     np.maximum.at(best, out.parent, out.evidence)
     keep = np.flatnonzero(out.evidence > best[out.parent] - _FORGOTTEN)
     return _take(out, keep), found.matches[keep]
+
+
+def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
+    """(n,) landmark of each observation, -1 for none, in the best assignment from one pose (3,)."""
+    pairs = model.pairs(pose[None], np.zeros((1, 3, 3)))
+    det = pairs.xx * pairs.yy - pairs.xy**2
+    misfit = (pairs.yy * pairs.ex**2 - 2.0 * pairs.xy * pairs.ex * pairs.ey + pairs.xx * pairs.ey**2) / det
+    gain = np.zeros(model.may.shape)
+    gain[pairs.row, pairs.landmark] = np.maximum(pairs.log_peak - 0.5 * (np.log(det) + misfit), 0.0)
+    row, landmark = linear_sum_assignment(gain, maximize=True)
+    out = np.full(len(gain), -1)
+    out[row] = np.where(gain[row, landmark] > 0.0, landmark, -1)
+    return out
 
 
 def _unambiguous(pairs: Pairs, h: int, n: int, m: int) -> bool:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from fieldloc import pose as se2
-from fieldloc.association import landmark_factors
+from fieldloc.association import landmark_factors, seen_in_robot
 from fieldloc.detection import Detection
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.field import FieldMap
@@ -23,12 +23,13 @@ from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
-from fieldloc.scan_assignments import assign, expand
+from fieldloc.scan_assignments import expand, likeliest
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
 from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
 
 _RING_STEPS = 24
+_NO_ERROR = 1e-3  # of a variance
 _MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFix
 
 
@@ -104,10 +105,7 @@ class ScanMixture:
 
     def landmarks_seen(self, pose: FloatArray) -> tuple[int, ...]:
         """Map indices of what was seen, by the likeliest explanation for a robot at the pose (3,)."""
-        at = se2.compose(pose, self.scan.robot_from_sensor)[None]
-        exactly = np.zeros((1, 3, 3))
-        found = assign(self.model, self.model.pairs(at, exactly), exactly)
-        matches = found.matches[np.argmax(found.score)]
+        matches = likeliest(self.model, se2.compose(pose, self.scan.robot_from_sensor))
         return tuple(matches[matches >= 0].tolist())
 
     def _fixes(self, rows: IntArray, which: IntArray, covariance: FloatArray) -> tuple[LandmarkFix, ...]:
@@ -197,7 +195,7 @@ def scan_mixture(scan: LandmarkScan, field: FieldMap, detection: Detection, wide
         covariance,
         may,
         field.positions,
-        field.positions_covariance if field.positions_covariance.any() else None,
+        _survey_that_matters(field.positions_covariance, used),
         np.log1p(-detection.clutter) - np.log(may.sum(axis=1)),
         log_clutter,
         wider,
@@ -218,3 +216,12 @@ def scan_mixture(scan: LandmarkScan, field: FieldMap, detection: Detection, wide
         ),
         symmetric=not (np.abs(moved) > 1e-6).any(),
     )
+
+
+def _survey_that_matters(survey: FloatArray, scan: LandmarkScan) -> FloatArray | None:
+    """None where the map's errors are nothing beside the scan's, which saves a third of the work."""
+    if not survey.any():
+        return None
+    _, seen = seen_in_robot(scan)
+    smallest = np.linalg.det(seen) / np.trace(seen, axis1=-2, axis2=-1)  # half the smaller variance at least
+    return survey if np.trace(survey, axis1=-2, axis2=-1).max() > _NO_ERROR * smallest.min() else None
