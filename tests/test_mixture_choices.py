@@ -18,6 +18,7 @@ from pose_sights import (
 )
 from walks import PLAIN, ns, velocities
 
+from estimators.base import Estimate
 from estimators.config import Compass, Config
 from estimators.mixture import MixtureFilter
 from estimators.mixture.bank import OFFSET, gaussian
@@ -129,3 +130,13 @@ def test_the_likeliest_child_keeps_the_number() -> None:
     first, other = now(estimator).hypotheses
     assert first.track == before != other.track
     assert first.pose[0] > START[0] > other.pose[0]
+
+
+def test_the_compass_offset_is_learnt() -> None:
+    estimator = MixtureFilter(replace(PLAIN, compass=Compass(offset_sigma_rad=0.2)))
+    estimator.start(Estimate(0, START, np.diag([0.1, 0.1, 1e-5]) ** 2))
+    factor = HeadingFactor(0, START[2] + 0.3, np.array([[0.01]]), by_compass=True)
+    met = [estimator.update(factor) for _ in range(2)]
+    left = [float(one.residual[0]) for one in met if one is not None]
+    # of 0.3 rad the offset takes its share of the variance
+    np.testing.assert_allclose(left, [-0.3, -0.3 * 0.01 / (0.2**2 + 0.01)], atol=1e-6)
