@@ -28,7 +28,7 @@ from fieldloc.regions import Region
 _MAX_PLACES = 8
 _MAX_BREAKS = 4
 _MAX_CANDIDATES = 5
-_UNLIKELY = 20.0  # stories that are so much (log) less likely than the best by their tracks are not solved
+_UNLIKELY = 50.0  # stories so much (log) less likely than the best are not solved; tracks can be off by half of that
 _ALIKE = 0.02  # a log's stories that differ in fewer of their choices, and in no break, are one when solved
 _EXACTLY = 1e-3  # m, rad: places that are each other's copies, on each other's copies
 _MAX_WAYS = 20
