@@ -11,8 +11,19 @@ from fieldloc.errors import FieldlocError
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.toml_table import TomlTable
 
-_ABOVE_ZERO = ("nis_per_dof", "restart_after", "count", "cauchy", "max_hypotheses", "offset_s")
-_BELOW_ONE = ("outlier_share", "prune_below", "post", "clutter", "nothing_right")
+_ABOVE_ZERO = (
+    "nis_per_dof",
+    "restart_after",
+    "count",
+    "max_count",
+    "kld_error",
+    "bin_m",
+    "bin_rad",
+    "cauchy",
+    "max_hypotheses",
+    "offset_s",
+)
+_BELOW_ONE = ("outlier_share", "prune_below", "negligible", "post", "clutter", "nothing_right")
 
 Section = TypeVar(
     "Section", MotionNoise, Robust, Mixture, Particles, Graph, Calibration, ErrorCorrelation, Detection, Compass
