@@ -29,11 +29,11 @@ from fieldloc.image_map import ImageMap, image_map
 from fieldloc.image_posts import PostsSeen, posts_seen
 from fieldloc.image_readings import read
 from fieldloc.measurements import ImageFeatures
-from fieldloc.mixture import IntArray, MixtureFactor
+from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import FactorStack, LandmarkStack, LineStack, PoseStack
-from fieldloc.tempering import log_peaks, tempered
+from fieldloc.tempering import log_peaks
 from fieldloc.visibility import in_clear_sight
 
 _LOG_NEGLIGIBLE = float(np.log(1e-3))  # against the outlier, where a solution is likeliest
@@ -42,12 +42,10 @@ _UNSURE_DISTANCE = 0.3  # relative: beyond it a single post's distance is no Gau
 
 
 def image_mixture(
-    features: ImageFeatures, camera: Camera, field: FieldMap, detection: Detection, wider: float
-) -> MixtureFactor | None:
-    """wider: by how much variances are to be widened, as the image shows much the same as the last one; the rest of the
-    evidence counts for as much less (`fieldloc.tempering`).
+    features: ImageFeatures, camera: Camera, field: FieldMap, detection: Detection
+) -> SolutionMixture | None:
+    """None where nothing of use is seen. Symmetric unless a post has a name, and then closed under the map's symmetries.
 
-    None where nothing of use is seen. Symmetric unless a post has a name, and then closed under the map's symmetries.
     ValueError for a post with a foot_px but no foot_covariance_px2.
     """
     if not np.isfinite(features.mount.covariance).all():
@@ -89,14 +87,13 @@ def image_mixture(
         weights = weights + anchors.log_weights[-1]
         kept = np.flatnonzero(weights + log_peaks(rings.covariances) > least)
         stacks.append((rings.take(kept), weights[kept]))
-    once = SolutionMixture(
+    return SolutionMixture(
         features.stamp_ns,
         tuple(_turned(stack, weights, symmetries) for stack, weights in stacks if len(weights)),
         log_outlier,
         symmetric=not posts.labelled,
         area_m2=image_field.area_m2,
     )
-    return tempered(once, wider)
 
 
 def _turned(stack: FactorStack, log_weights: FloatArray, symmetries: FloatArray) -> tuple[FactorStack, FloatArray]:

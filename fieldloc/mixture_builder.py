@@ -20,6 +20,7 @@ from fieldloc.repetition import ErrorCorrelation, Repetition, inflation
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import PoseStack
+from fieldloc.tempering import tempered
 
 _DEFAULT_CORRELATION = ErrorCorrelation()
 _DEFAULT_DETECTION = Detection()
@@ -89,16 +90,10 @@ class MixtureBuilder:
 
     def _image(self, features: ImageFeatures, camera: Camera) -> MixtureFactor | None:
         wider = self._wider(_ANY_IMAGE, features.stamp_ns, self._correlation.image_s)
-        again = image_mixture(features, camera, self._field, self._detection, wider)
-        if again is None or wider == 1.0:
-            return again
-
-        def first() -> MixtureFactor:
-            alone = image_mixture(features, camera, self._field, self._detection, 1.0)
-            assert alone is not None
-            return alone
-
-        return RepeatedMixture(again, first, wider, float(np.log(2 * np.pi * self._area_m2)))
+        once = image_mixture(features, camera, self._field, self._detection)
+        if once is None or wider == 1.0:
+            return once
+        return RepeatedMixture(tempered(once, wider), once, wider, float(np.log(2 * np.pi * self._area_m2)))
 
     def _told(self, told: InitialPose) -> MixtureFactor:
         pose = told.pose[None]

@@ -10,7 +10,6 @@ Of that the power is to be taken as a whole. The integral of the densities' powe
 is a flat one wherever it is right. Where the robot is, if it is there, the image says in full.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,11 +20,11 @@ from fieldloc.pose import FloatArray
 
 @dataclass(frozen=True)
 class RepeatedMixture:
-    """again: the observation with its densities to the power of 1 / wider. first: makes it as it would be if it were
-    the first, with the same ids; it is not made unless a robot may be anywhere. log_volume: of all poses, m^2 rad."""
+    """again: the observation with its densities to the power of 1 / wider. once: as it would be if it were the first,
+    with the same ids. log_volume: of all poses, m^2 rad."""
 
     again: MixtureFactor
-    first: Callable[[], MixtureFactor]
+    once: MixtureFactor
     wider: float
     log_volume: float
 
@@ -45,20 +44,16 @@ class RepeatedMixture:
     def log_outlier(self) -> float:
         return self.again.log_outlier
 
-    @cached_property
-    def _first(self) -> MixtureFactor:
-        return self.first()
-
     @property
     def log_integral(self) -> float:
-        return self.log_volume + (self._first.log_integral - self.log_volume) / self.wider
+        return self.log_volume + (self.once.log_integral - self.log_volume) / self.wider
 
     @cached_property
     def _solutions(self) -> PoseSolutions:
-        found = self._first.solutions()
+        found = self.once.solutions()
         if not len(found.ids):
             return found
-        return replace(found, log_weights=found.log_weights + (self.log_integral - self._first.log_integral))
+        return replace(found, log_weights=found.log_weights + (self.log_integral - self.once.log_integral))
 
     def solutions(self) -> PoseSolutions:
         return self._solutions

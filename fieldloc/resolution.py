@@ -8,6 +8,7 @@ from fieldloc.association import Belief
 from fieldloc.factors import Factor
 from fieldloc.mixture import IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
+from fieldloc.repeated_mixture import RepeatedMixture
 
 _SURE = 0.99
 
@@ -19,12 +20,14 @@ def sure(
 
     belief: where the robot is; without one, the only whole pose that explains what was seen. That is given too where
     nothing near the belief explains it: a wrong belief must hear of it. log_prior: of poses (k, 3), where it may be.
+    Which solution it is, a repeated observation tells as well as a new one; that it is little news is in the factors.
     """
+    once = mixture.once if isinstance(mixture, RepeatedMixture) else mixture
     if belief is not None:
-        near = mixture.expand(belief.pose[None], belief.covariance[None])
-        if len(near.ids) and float(near.evidence.max()) > mixture.log_outlier:
+        near = once.expand(belief.pose[None], belief.covariance[None])
+        if len(near.ids) and float(near.evidence.max()) > once.log_outlier:
             return _surest(mixture, near.ids, near.evidence)
-    found = mixture.solutions()
+    found = once.solutions()
     prior = 0.0 if log_prior is None else log_prior(found.poses)
     return _surest(mixture, found.ids, found.log_weights + prior)
 

@@ -26,6 +26,7 @@ from fieldloc.repetition import ErrorCorrelation
 from fieldloc.resolution import sure
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import LandmarkStack, LineStack, PoseStack
+from fieldloc.tempering import tempered
 
 FIELD = load_field("kidsize")
 HALF_TURN = FIELD.symmetries[0]
@@ -36,11 +37,9 @@ SIGMA_PX = 0.7
 NAMES = ("post_opponent_left", "post_opponent_right")
 
 
-def mixture_of(
-    features: ImageFeatures, field: FieldMap = FIELD, detection: Detection | None = None, wider: float = 1.0
-) -> SolutionMixture:
-    found = image_mixture(features, CAMERA, field, detection or Detection(), wider)
-    assert isinstance(found, SolutionMixture)
+def mixture_of(features: ImageFeatures, field: FieldMap = FIELD, detection: Detection | None = None) -> SolutionMixture:
+    found = image_mixture(features, CAMERA, field, detection or Detection())
+    assert found is not None
     return found
 
 
@@ -76,7 +75,7 @@ def views(posts: bool, lines: bool, count: int = 250) -> tuple[tuple[FloatArray,
         pose = random_pose(random)
         features = see(FIELD, pose, 0, random, SIGMA_PX)
         features = only(features, posts=None if posts else 0, lines=None if lines else 0)
-        found = image_mixture(features, CAMERA, FIELD, Detection(), 1.0)
+        found = image_mixture(features, CAMERA, FIELD, Detection())
         if isinstance(found, SolutionMixture) and len(found.solutions().poses):
             out.append((pose, found))
     return tuple(out)
@@ -284,18 +283,18 @@ def test_one_line_and_one_post_are_a_pose() -> None:
 
 
 def test_an_image_of_nothing_is_no_mixture() -> None:
-    assert image_mixture(ImageFeatures(0, MOUNT), CAMERA, FIELD, Detection(), 1.0) is None
+    assert image_mixture(ImageFeatures(0, MOUNT), CAMERA, FIELD, Detection()) is None
     in_the_sky = PostObservation(np.array([[300.0, -500.0], [290.0, -500.0]]), np.eye(4))
-    assert image_mixture(ImageFeatures(0, MOUNT, (in_the_sky,)), CAMERA, FIELD, Detection(), 1.0) is None
+    assert image_mixture(ImageFeatures(0, MOUNT, (in_the_sky,)), CAMERA, FIELD, Detection()) is None
     bare = FieldMap("bare", np.zeros((0, 2, 2)), np.zeros((0, 3)), ())
-    assert image_mixture(only(exact(), lines=0), CAMERA, bare, Detection(), 1.0) is None
+    assert image_mixture(only(exact(), lines=0), CAMERA, bare, Detection()) is None
 
 
 def test_a_foot_without_a_covariance_is_refused() -> None:
     features = only(exact(), lines=0)
     posts = (replace(features.posts[0], foot_covariance_px2=None),)
     with pytest.raises(ValueError, match="foot_px without"):
-        image_mixture(replace(features, posts=posts), CAMERA, FIELD, Detection(), 1.0)
+        image_mixture(replace(features, posts=posts), CAMERA, FIELD, Detection())
 
 
 @pytest.mark.parametrize("wider", [2.0, 30.0])
@@ -303,9 +302,10 @@ def test_a_wider_image_is_the_same_likelihood_to_a_power(wider: float) -> None:
     """Repeated so many times it counts once, at every pose, against the outlier and between solutions."""
     random = np.random.default_rng(4)
     features = see(FIELD, TOWARDS_GOAL, 0, random, SIGMA_PX)
-    once, tempered = mixture_of(features), mixture_of(features, wider=wider)
-    assert tempered.log_outlier == pytest.approx(once.log_outlier / wider)
-    (poses, weights), (wide, less) = once.stacks[0], tempered.stacks[0]
+    once = mixture_of(features)
+    again = tempered(once, wider)
+    assert again.log_outlier == pytest.approx(once.log_outlier / wider)
+    (poses, weights), (wide, less) = once.stacks[0], again.stacks[0]
     assert isinstance(poses, PoseStack)
     assert isinstance(wide, PoseStack)
     np.testing.assert_allclose(wide.covariances, wider * poses.covariances)
@@ -338,7 +338,7 @@ def test_a_fisheye_and_a_mount_taken_for_exact_work_as_well() -> None:
     found = mixture_of(features)
     assert np.abs(se2.local(found.solutions().poses[:2], TOWARDS_GOAL)).max(axis=1).min() < 5e-3
     fisheye = Camera("fisheye", 640, 480, 500.0, 500.0, 319.5, 239.5, (0.0, 0.0, 0.0, 0.0))
-    assert image_mixture(features, fisheye, FIELD, Detection(), 1.0) is not None
+    assert image_mixture(features, fisheye, FIELD, Detection()) is not None
 
 
 def test_a_solution_is_given_out_as_one_factor() -> None:
@@ -359,8 +359,7 @@ def test_posts_without_a_foot_are_as_far_as_they_are_narrow() -> None:
 def test_a_walk_on_a_soccer_field_is_followed_by_images_alone() -> None:
     """By an estimator that knows one place only, of what is sure."""
     random = np.random.default_rng(3)
-    # every image has errors of its own here
-    ekf, builder = Ekf(Config()), MixtureBuilder(FIELD, CAMERA, ErrorCorrelation(image_s=0.0))
+    ekf, builder = Ekf(Config()), MixtureBuilder(FIELD, CAMERA)
     pose = np.array([-1.0, -0.5, 0.0])
     ekf.start(Estimate(0, pose + [0.05, -0.05, 0.03], np.diag([0.1, 0.1, 0.08]) ** 2))
     velocity = np.array([0.15, 0.0, 0.1])
@@ -401,4 +400,4 @@ def test_detection_needs_a_range() -> None:
 
 def test_a_mount_of_unknown_covariance_is_no_mixture() -> None:
     features = replace(exact(), mount=replace(MOUNT, covariance=np.full((4, 4), np.inf)))
-    assert image_mixture(features, CAMERA, FIELD, Detection(), 1.0) is None
+    assert image_mixture(features, CAMERA, FIELD, Detection()) is None

@@ -36,7 +36,7 @@ def seen(name: str) -> tuple[tuple[FieldMap, FloatArray, SolutionMixture, int], 
     for k, (_, image) in enumerate(game.camera.images(game.course, field)):
         if k % EVERY:
             continue
-        found = image_mixture(image, camera, field, Detection(), 1.0)
+        found = image_mixture(image, camera, field, Detection())
         if isinstance(found, SolutionMixture):
             lines = lines_on_the_ground(camera, image.mount, image.lines)
             out.append((field, truth[k], found, 0 if lines is None else len(set(lines.families.tolist()))))

@@ -86,15 +86,3 @@ def test_where_it_is_known_to_be_it_is_the_wider_one() -> None:
             again.expand(poses, covariances).evidence, again.again.expand(poses, covariances).evidence
         )
         assert (again.symmetric, again.by_compass, again.stamp_ns) == (True, False, again.again.stamp_ns)
-
-
-def test_it_is_not_worked_out_as_the_first_unless_asked() -> None:
-    def never() -> MixtureFactor:
-        raise AssertionError
-
-    _, again = IMAGES[0]
-    lazy = RepeatedMixture(again.again, never, again.wider, LOG_VOLUME)
-    lazy.log_likelihood(np.zeros((1, 3)))
-    lazy.expand(np.zeros((1, 3)), np.eye(3)[None])
-    with pytest.raises(AssertionError):
-        lazy.solutions()
