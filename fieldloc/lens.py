@@ -39,7 +39,7 @@ def project(model: Model, distortion: Distortion, rays: FloatArray) -> tuple[Flo
 
 
 def unproject(model: Model, distortion: Distortion, plane: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:
-    """Unit rays (..., 3) of plane points (..., 2), to machine precision, their Jacobians (..., 3, 2), where they exist."""
+    """Unit rays (..., 3) of plane points (..., 2), to machine precision, Jacobians (..., 3, 2), where they exist."""
     with np.errstate(all="ignore"):
         rays, jacobian, mask = (_unproject_pinhole if model == "pinhole" else _unproject_fisheye)(distortion, plane)
     mask = mask & np.isfinite(rays).all(axis=-1) & np.isfinite(jacobian).all(axis=(-1, -2))

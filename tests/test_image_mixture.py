@@ -22,7 +22,6 @@ from fieldloc.measurements import ImageFeatures, LineObservation, Odometry, Post
 from fieldloc.mixture import MixtureFactor
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
-from fieldloc.repetition import ErrorCorrelation
 from fieldloc.resolution import sure
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import LandmarkStack, LineStack, PoseStack

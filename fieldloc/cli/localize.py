@@ -15,13 +15,13 @@ from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap, load_field
 from fieldloc.regions import REGIONS
 
-ONLINE = ("ekf", "particles", "dead-reckoning")
-_COMPARED = "dead-reckoning,ekf,particles,smooth"
+ONLINE = ("mixture", "ekf", "particles", "amcl-style", "bhuman-style", "dead-reckoning")
+_COMPARED = "dead-reckoning,ekf,particles,mixture,smooth"
 
 
 def add_commands(commands: Commands) -> None:
     """run, smooth, compare."""
-    sub = commands.add("run", _localize, "A log through an online estimator", "run woods.mcap --estimator ekf")
+    sub = commands.add("run", _localize, "A log through an online estimator", "run woods.mcap --estimator mixture")
     _add_result_options(sub, "runs/LOG-ESTIMATOR.mcap")
     sub.add_argument("--estimator", choices=ONLINE, default=ONLINE[0], help="default: %(default)s")
 
