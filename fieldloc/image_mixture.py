@@ -44,7 +44,7 @@ _UNSURE_DISTANCE = 0.3  # relative: beyond it a single post's distance is no Gau
 def image_mixture(
     features: ImageFeatures, camera: Camera, field: FieldMap, detection: Detection
 ) -> SolutionMixture | None:
-    """None where nothing of use is seen. Symmetric unless a post has a name: closed under the map's symmetries then.
+    """None where nothing of use is seen. Symmetric, so closed under the map's symmetries, unless a post has a name.
 
     ValueError for a post with a foot_px but no foot_covariance_px2.
     """
