@@ -1,19 +1,15 @@
-"""Which landmark of the map is the one without a label, when it is known roughly where the robot is."""
+"""Where landmarks were seen, in the robot frame, and those of the map as factors; and where a robot is thought to be."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from fieldloc import pose as se2
-from fieldloc.covariance import squared_mahalanobis
 from fieldloc.factors import LandmarkFactor
 from fieldloc.field import FieldMap
 from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
-
-_GATE = 13.82  # chi-square, 2 degrees of freedom: a right one fails once in a thousand
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,32 +40,3 @@ def landmark_factors(
         LandmarkFactor(scan.stamp_ns, field.positions[index], seen[k], spread[k] + survey[k] * np.eye(2))
         for k, index in enumerate(indices)
     )
-
-
-def associate(scan: LandmarkScan, field: FieldMap, belief: Belief, taken: frozenset[int]) -> dict[int, int]:
-    """Map index by row of the scan, for its rows without a label: the likeliest one-to-one assignment within the gate.
-
-    taken: map indices that labels have already claimed.
-    """
-    rows = [row for row, label in enumerate(scan.labels) if label is None]
-    columns = [index for index in range(len(field.landmarks)) if index not in taken]
-    if not rows or not columns:
-        return {}
-    seen, covariance = seen_in_robot(scan)
-    expected = se2.apply(se2.inverse(belief.pose), field.positions[columns])
-    error = expected - seen[rows, None, :]
-    jacobian = np.zeros((len(columns), 2, 3))
-    jacobian[:, 0, 0] = jacobian[:, 1, 1] = -1.0
-    jacobian[:, 0, 2], jacobian[:, 1, 2] = expected[:, 1], -expected[:, 0]
-    survey = se2.rotation(-belief.pose[2]) @ field.positions_covariance[columns] @ se2.rotation(belief.pose[2])
-    spread = jacobian @ belief.covariance @ np.swapaxes(jacobian, -1, -2) + survey
-    total = spread + covariance[rows, None]
-    distance = squared_mahalanobis(error, total)
-    # a wide innovation explains everything a little: its density is what counts, not its distance alone
-    cost = distance + np.log(np.linalg.det(total))
-    cost[distance > _GATE] = np.inf
-    missed = cost.min(initial=0.0, where=np.isfinite(cost)) + 1e3  # any landmark within the gate beats none
-    chosen = linear_sum_assignment(
-        np.hstack([np.where(np.isfinite(cost), cost, 1e9), np.full((len(rows),) * 2, missed)])
-    )
-    return {rows[r]: columns[c] for r, c in zip(*chosen, strict=True) if c < len(columns)}

@@ -11,6 +11,7 @@ from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
 from fieldloc.heading_mixture import heading_mixture
 from fieldloc.image_mixture import image_mixture
+from fieldloc.magnitudes import check_magnitudes
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan
 from fieldloc.mixture import MixtureFactor
 from fieldloc.pose import FloatArray
@@ -58,7 +59,9 @@ class MixtureBuilder:
         return tuple(out)
 
     def build(self, measurement: LandmarkScan | ImageFeatures | Compass | InitialPose) -> MixtureFactor | None:
-        """None for what says nothing: no landmark of the map, no line, no camera."""
+        """None for what says nothing: no landmark of the map, no line, no camera. ValueError for what no arithmetic can
+        use."""
+        check_magnitudes(measurement)
         stamp_ns = measurement.stamp_ns
         match measurement:
             case LandmarkScan():

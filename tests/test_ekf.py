@@ -1,20 +1,17 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from walks import FIELD, TAKEN_AT_ITS_WORD, feed, nees, ns, scan, velocities, walk
+from walks import TAKEN_AT_ITS_WORD, feed, nees, ns, right_factors, scan, velocities, walk
 
 from estimators.base import Estimate
 from estimators.config import Calibration, Compass, Config, MotionNoise, Robust
 from estimators.ekf import Ekf
 from estimators.motion import OdometryCalibration
 from fieldloc import pose as se2
-from fieldloc.factor_builder import FactorBuilder
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.measurements import Odometry
-from fieldloc.repetition import ErrorCorrelation
 
 P3 = np.array([[0.04, 0.01, 0.002], [0.01, 0.02, -0.003], [0.002, -0.003, 0.01]])
-ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0)
 SURE_OF_HEADING = 1e-14
 
 
@@ -116,12 +113,12 @@ def test_the_errors_of_many_walks_are_as_large_as_the_filter_says(at_s: float, c
     truth = walk(starts, commands, 0.1, random, calibration=OdometryCalibration(*real.T))
     total = 0.0
     for i in range(walks):
-        ekf, builder = Ekf(Config(calibration=calibration)), FactorBuilder(FIELD, correlation=ALL_NEWS)
+        ekf = Ekf(Config(calibration=calibration))
         ekf.start(Estimate(0, first, se2.rotate_covariance(np.diag(start_sigma**2), first[2])))
         for k, command in enumerate(commands):
             ekf.predict(Odometry(ns(0.1 * k), command))
             if k % 8 == 5:
-                feed(ekf, builder.build(scan(ns(0.1 * k), truth[k, i], random), None))
+                feed(ekf, right_factors(scan(ns(0.1 * k), truth[k, i], random), truth[k, i]))
         ekf.advance(ns(0.1 * steps))
         estimate = ekf.estimate()
         assert estimate is not None

@@ -2,19 +2,16 @@ import filterpy.monte_carlo.resampling as filterpy_resampling
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from walks import FIELD, TAKEN_AT_ITS_WORD, feed, nees, ns, scan, velocities, walk
+from walks import TAKEN_AT_ITS_WORD, feed, nees, ns, right_factors, scan, velocities, walk
 
 from estimators.base import Estimate
 from estimators.config import Config, MotionNoise, Particles, Robust
 from estimators.particles import ParticleFilter
 from estimators.particles.resampling import systematic
 from fieldloc import pose as se2
-from fieldloc.factor_builder import FactorBuilder
 from fieldloc.factors import HeadingFactor, LandmarkFactor, PoseFactor
 from fieldloc.measurements import Odometry
-from fieldloc.repetition import ErrorCorrelation
 
-ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0)
 SMALL = np.diag([0.1, 0.1, 0.05]) ** 2
 
 
@@ -187,12 +184,11 @@ def test_the_errors_of_many_walks_are_as_large_as_the_filter_says(at_s: float) -
     total = 0.0
     for i in range(walks):
         cloud = ParticleFilter(Config(particles=Particles(seed=i)))
-        builder = FactorBuilder(FIELD, correlation=ALL_NEWS)
         cloud.start(Estimate(0, first, se2.rotate_covariance(np.diag(start_sigma**2), first[2])))
         for k, command in enumerate(velocities(steps)):
             cloud.predict(Odometry(ns(0.1 * k), command))
             if k % 8 == 5:
-                feed(cloud, builder.build(scan(ns(0.1 * k), truth[k, i], random), None))
+                feed(cloud, right_factors(scan(ns(0.1 * k), truth[k, i], random), truth[k, i]))
         cloud.advance(ns(0.1 * steps))
         total += nees(estimate_of(cloud), truth[-1, i])
     # one time per walk, so the walks are independent: chi-square, 3 * 80 degrees of freedom, 99.9 % two-sided

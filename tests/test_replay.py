@@ -25,6 +25,8 @@ from logs.schema import Record, topic_of
 from logs.writer import LogWriter
 
 SECOND = 10**9
+# what others published always has an estimate and may need long to find the robot: test_particles_published
+HELD = {name: make for name, make in ALL.items() if not name.endswith("-style")}
 MARKS = {"a": (3.0, 0.0), "b": (0.0, 2.0), "c": (-1.0, -2.5)}  # no symmetry
 FIELD = FieldMap(
     "three",
@@ -105,12 +107,13 @@ def same(one: Replay, other: Replay) -> bool:
 
 
 def test_measurements_are_fed_in_the_order_of_their_own_stamps_however_late_they_were_logged(tmp_path: Path) -> None:
-    late = [odometry(1000), odometry(2000), scan(1200), odometry(3000), told(2200), compass(500)]
-    recording = load_recording(log_of(tmp_path / "log.mcap", late, [1000, 2000, 2100, 3000, 3100, 3200]))
+    late = [odometry(1000), odometry(2000), scan(1200), odometry(3000), told(2200), compass(500), compass(1500)]
+    recording = load_recording(log_of(tmp_path / "log.mcap", late, [1000, 2000, 2100, 3000, 3100, 3200, 3300]))
     diary = Diary()
     replay(recording, diary)
-    kinds = ["heading", "predict", "pose", "predict", "pose", "predict"]
-    assert diary.entries == list(zip(kinds, [500, 1000, 1200, 2000, 2200, 3000], strict=True))
+    # the first compass is of no use to an estimator of one place that has none yet
+    kinds = ["predict", "pose", "heading", "predict", "pose", "predict"]
+    assert diary.entries == list(zip(kinds, [1000, 1200, 1500, 2000, 2200, 3000], strict=True))
     assert recording.warnings == ()
 
 
@@ -147,7 +150,7 @@ def test_a_stamp_that_comes_again_gives_one_estimate_with_all_that_was_said_at_i
     assert np.trace(done.estimates[0].covariance) < np.trace(once.estimates[0].covariance)
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", HELD)
 def test_a_clock_that_jumps_is_told_and_survived(tmp_path: Path, name: str) -> None:
     seconds = [100.0, 100.1, 100.2, 5000.0, 5000.1, 60.0, 60.1, 100.3]
     records: list[Record] = []
@@ -203,7 +206,7 @@ def test_an_initial_pose_in_the_log_is_a_start(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("field_map", "why"), [("kidsize", "looks the same from several poses"), (None, "whole pose")])
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", HELD)
 def test_no_start_says_why_and_the_way_out(tmp_path: Path, field_map: str | None, why: str, name: str) -> None:
     log = log_of(tmp_path / "log.mcap", [odometry(0), compass(1)])
     recording = load_recording(log, None if field_map is None else load_field(field_map))
@@ -293,6 +296,7 @@ def test_a_measurement_that_no_arithmetic_can_use_is_counted_and_the_rest_used(t
     done = replay(recording, Ekf(Config()))
     assert len(done.warnings) == 1
     assert done.warnings[0].startswith("log: 2 measurements left out, the first: LandmarkScan at 0.00000001 s")
+    assert "range of 1e+300 is no measurement" in done.warnings[0]
     assert done.estimates[-1].stamp_ns == 30
     assert done.estimates[-1].pose == pytest.approx(np.zeros(3), abs=0.05)
 
@@ -362,7 +366,7 @@ def drive() -> Recording:
     return Recording("drive", FIELD, None, tuple(measurements))
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", HELD)
 def test_each_measurement_other_than_odometry_is_timed(name: str) -> None:
     done = replay(drive(), ALL[name](Config()))
     assert done.update_s.shape == (10,)

@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from walks import FIELD, PLAIN, feed, nees, ns, scan, velocities, walk
+from walks import PLAIN, feed, nees, ns, right_factors, scan, velocities, walk
 
 from estimators.base import Estimate
 from estimators.config import Calibration, Config, Graph, MotionNoise, Robust
@@ -13,13 +13,10 @@ from estimators.motion import OdometryCalibration
 from estimators.smoother import Smoother
 from fieldloc import pose as se2
 from fieldloc.covariance import check_covariance
-from fieldloc.factor_builder import FactorBuilder
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, PoseFactor
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
-from fieldloc.repetition import ErrorCorrelation
 
-ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0)
 P3 = np.diag([0.1, 0.1, 0.05]) ** 2
 GAUSSIAN = Graph(cauchy=1e6)  # a kernel so wide that it does nothing
 START = np.array([0.5, -0.5, 1.0])
@@ -207,12 +204,12 @@ def seen_walks(
     truths = walk(starts, commands, 0.1, random, calibration=OdometryCalibration(*calibrations.T))
     out = []
     for truth in np.swapaxes(truths, 0, 1):
-        smoother, builder = Smoother(config), FactorBuilder(FIELD, correlation=ALL_NEWS)
+        smoother = Smoother(config)
         smoother.start(Estimate(0, START, se2.rotate_covariance(np.diag(sigma**2), START[2])))
         for k, command in enumerate(commands):
             smoother.predict(Odometry(ns(0.1 * k), command))
             if k % 8 == 5:
-                feed(smoother, builder.build(scan(ns(0.1 * k), truth[k], random), None))
+                feed(smoother, right_factors(scan(ns(0.1 * k), truth[k], random), truth[k]))
         out.append((smoother, truth))
     return out
 

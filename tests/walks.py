@@ -8,10 +8,12 @@ from estimators.base import Estimate, Estimator
 from estimators.config import Calibration, Config, MotionNoise
 from estimators.motion import OdometryCalibration
 from fieldloc import pose as se2
-from fieldloc.factors import HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
+from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan, Odometry
+from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
+from fieldloc.repetition import ErrorCorrelation
 
 KnownFactor = PoseFactor | LandmarkFactor | HeadingFactor | LineFactor
 Event = Odometry | KnownFactor
@@ -28,13 +30,15 @@ PERFECT = OdometryCalibration()
 TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLAIN = Config(calibration=TAKEN_AT_ITS_WORD)
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.05, 0.03
+ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0, 0.0, 0.0)
+_NEARLY_SURE = np.diag([1e-3, 1e-3, 1e-3]) ** 2
 
 
 def ns(stamp_s: float) -> int:
     return round(stamp_s * SECOND)
 
 
-def feed(estimator: Estimator, events: Iterable[Event]) -> list[Estimate]:
+def feed(estimator: Estimator, events: Iterable[Event | Factor]) -> list[Estimate]:
     """The estimate after each event, where there is one."""
     out = []
     for event in events:
@@ -146,6 +150,15 @@ def scan(
     seen = seen[near] + (sigmas * random.standard_normal((len(near), 2)) if noisy else 0.0)
     labels: Sequence[str | None] = [FIELD.labels[i] if labelled else None for i in near]
     return LandmarkScan(stamp_ns, tuple(labels), seen, np.tile(np.diag(sigmas**2), (len(near), 1, 1)), mount)
+
+
+def right_factors(made: LandmarkScan, truth: FloatArray) -> tuple[Factor, ...]:
+    """What the scan says if each post is taken for itself: its likeliest solution where it was made. All is news."""
+    mixture = MixtureBuilder(FIELD, correlation=ALL_NEWS).build(made)
+    if mixture is None:
+        return ()
+    seen = mixture.expand(truth[None], _NEARLY_SURE[None])
+    return mixture.chosen(int(seen.ids[np.argmax(seen.evidence)])) if len(seen.ids) else ()
 
 
 def nees(estimate: Estimate, truth: FloatArray) -> float:

@@ -21,6 +21,6 @@ n posts or landmarks, m on the map. "labelled": it is known which is which.
 | labelling_bearings.label_bearings | n >= 3 not labelled: bearings only | all, up to a bound | Sugihara 1988 |
 | vanishing.bearing_of_vanishing_point | a vanishing point, attitude | 1, modulo 90 deg | paper eq. 13, general case |
 | lines.lines_on_the_ground | n >= 1 line segments, camera's place | 1, modulo 90 deg | paper eqs. 13-15, one fit |
-| line_poses.poses_from_lines | lines of both directions, map | all; 2 or more on a soccer field | least squares |
-| line_poses.constraints_from_lines | lines of one direction, map | all: heading and one coordinate | same |
+| line_solutions.line_solutions | lines of both directions, map | all, with weights; up to 64 | least squares |
+| line_solutions.line_constraints | lines of one direction, map | all: heading and one coordinate | same |
 """
