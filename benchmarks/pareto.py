@@ -196,10 +196,6 @@ def _from_nothing(recording: Recording, named: bool) -> Recording:
     return replace(recording, measurements=tuple(kept))
 
 
-def _unlabelled(scan: LandmarkScan) -> LandmarkScan:
-    return replace(scan, labels=(None,) * len(scan.labels))
-
-
 def _game(path: Path, duration_s: float) -> Path:
     simulate(path, load_scenario("no-compass"), seed=0, duration_s=duration_s)
     return path

@@ -1,4 +1,4 @@
-"""Where landmarks were seen, in the robot frame, and those of the map as factors; and where a robot is thought to be."""
+"""Where landmarks were seen, as points and as factors of those on the map; and where a robot is thought to be."""
 
 from dataclasses import dataclass, replace
 

@@ -70,25 +70,6 @@ def ground_jacobians(camera: Camera, mount: CameraMount, pixels: FloatArray) -> 
     return to_pixel, to_mount
 
 
-def joint_ground_covariance(
-    camera: Camera, mount: CameraMount, pixels: FloatArray, covariance_px2: FloatArray
-) -> FloatArray:
-    """(2n, 2n) of the ground points x0, y0, x1, ... of pixels (n, 2): their own noise and the mount's, which is shared.
-
-    covariance_px2: (2n, 2n) of all pixels, or (n, 2, 2) where each has its own. Every pixel must show the ground.
-    """
-    count = len(pixels)
-    _, mask = robot_ground_points(camera, mount, pixels)
-    if not mask.all():
-        raise ValueError(f"pixel {pixels[~mask][0]} does not show the ground")
-    to_pixel, to_mount = ground_jacobians(camera, mount, pixels)
-    jacobian = block_diagonal(to_pixel)
-    noise = covariance_px2 if covariance_px2.ndim == 2 else block_diagonal(covariance_px2)
-    shared = to_mount.reshape(2 * count, 4)
-    covariance = jacobian @ noise @ jacobian.T + shared @ mount.covariance @ shared.T
-    return np.asarray(0.5 * (covariance + covariance.T))
-
-
 def project_points(camera: Camera, mount: CameraMount, points_in_robot: FloatArray) -> tuple[FloatArray, Mask]:
     """Pixels (..., 2) of robot-frame points (..., 3), z up from the ground, and whether they are on the image."""
     centre = np.array([mount.x_m, mount.y_m, mount.height_m])
@@ -103,15 +84,6 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     out = np.empty((*first.shape, 3))
     out[..., 0], out[..., 1], out[..., 2] = first, z * u - x * w, x * v - y * u
     return out
-
-
-def block_diagonal(blocks: FloatArray) -> FloatArray:
-    """(n r, n c) with the blocks (n, r, c) on its diagonal."""
-    count, rows, columns = blocks.shape
-    out = np.zeros((count, rows, count, columns))
-    index = np.arange(count)
-    out[index, :, index, :] = blocks
-    return out.reshape(count * rows, count * columns)
 
 
 def _below(mount: CameraMount) -> FloatArray:

@@ -1,7 +1,6 @@
 import dataclasses
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -9,7 +8,6 @@ from fieldloc.camera import Camera
 from fieldloc.covariance import central_difference
 from fieldloc.ground import (
     ground_jacobians,
-    joint_ground_covariance,
     project_points,
     robot_from_camera,
     robot_ground_points,
@@ -83,25 +81,6 @@ def test_jacobians_equal_central_differences(parameters: FloatArray, pixel: Floa
     np.testing.assert_allclose(to_mount, numeric, rtol=1e-5, atol=1e-6)
 
 
-def test_the_joint_covariance_is_the_spread_of_sampled_pixels_and_mounts() -> None:
-    rng = np.random.default_rng(11)
-    mount = mount_at(np.array([0.5, 0.2, 0.6, 0.05]))
-    mount = dataclasses.replace(mount, covariance=NOISE / 25)
-    pixels = np.array([[100.0, 300.0], [320.0, 400.0], [600.0, 350.0]])
-    own = np.array([np.diag([0.5, 0.8]), [[0.6, 0.2], [0.2, 0.4]], np.diag([1.0, 0.3])]) / 9
-    covariance = joint_ground_covariance(CAMERA, mount, pixels, own)
-    count = 2000
-    mean = np.array([mount.height_m, mount.pan_rad, mount.tilt_rad, mount.roll_rad])
-    samples = []
-    for parameters in rng.multivariate_normal(mean, mount.covariance, count):
-        noisy = pixels + np.stack([rng.multivariate_normal([0, 0], c) for c in own])
-        samples.append(robot_ground_points(CAMERA, mount_at(parameters), noisy)[0].ravel())
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (np.array(samples) - np.mean(samples, axis=0)).T)
-    # the relative error of a sampled covariance is about sqrt(2 / count) = 3.2 % per entry; five of them
-    np.testing.assert_allclose(np.cov(whitened), np.eye(6), atol=0.16)
-    assert abs(covariance[0, 2]) > 0.1 * np.sqrt(covariance[0, 0] * covariance[2, 2])  # the mount ties the points
-
-
 def test_what_is_not_on_the_ground_is_masked() -> None:
     mount = mount_at(np.array([0.5, 0.0, 0.2, 0.0]))
     above = np.array([[320.0, 0.0], [320.0, 100.0], [np.nan, 300.0]])
@@ -111,8 +90,6 @@ def test_what_is_not_on_the_ground_is_masked() -> None:
     assert np.isnan(ground_jacobians(CAMERA, mount, above)[0]).all()
     _, mask = robot_ground_points(CAMERA, dataclasses.replace(mount, height_m=0.0), np.array([320.0, 400.0]))
     assert not mask
-    with pytest.raises(ValueError, match="does not show the ground"):
-        joint_ground_covariance(CAMERA, mount, above, np.tile(np.eye(2), (3, 1, 1)))
 
 
 def test_a_point_behind_the_camera_is_not_visible() -> None:

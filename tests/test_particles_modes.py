@@ -147,18 +147,6 @@ def test_the_half_that_it_starts_in_tells_the_side() -> None:
     assert said(cloud).mirrored < 1e-6
 
 
-def test_copies_are_written_down_at_another_copy_without_loss() -> None:
-    quarter = np.array([[0.0, 0.0, np.pi / 2], [0.0, 0.0, np.pi], [0.0, 0.0, -np.pi / 2]])
-    copies = Copies(quarter)
-    sides = np.array([[0.1, 0.2, 0.3, 0.4]])
-    for copy in range(4):
-        poses, moved = copies.moved(HERE[None], sides, copy)
-        there = copies.of(poses)[0]
-        for pose, share in zip(copies.of(HERE), sides[0], strict=True):
-            (at,) = np.flatnonzero(np.abs(se2.between(pose, there)).max(axis=1) < 1e-9)
-            assert moved[0, at] == share
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_a_robot_that_was_carried_is_found_within_three_sights(seed: int) -> None:
     cloud = begun(HERE, seed=seed)

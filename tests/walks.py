@@ -30,7 +30,7 @@ PERFECT = OdometryCalibration()
 TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLAIN = Config(calibration=TAKEN_AT_ITS_WORD)
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.05, 0.03
-ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0, 0.0, 0.0)
+ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0, 0.0)
 _NEARLY_SURE = np.diag([1e-3, 1e-3, 1e-3]) ** 2
 
 

@@ -10,9 +10,6 @@ from fieldloc.pose import FloatArray
 class Copies:
     def __init__(self, symmetries: FloatArray) -> None:
         self._moves = np.concatenate([np.zeros((1, 3)), symmetries])
-        both = se2.compose(self._moves[:, None], self._moves[None])
-        apart = np.abs(se2.between(self._moves, both[:, :, None])).sum(axis=-1)
-        self._both: IntArray = apart.argmin(axis=-1)
 
     def __len__(self) -> int:
         return len(self._moves)
@@ -20,10 +17,6 @@ class Copies:
     def of(self, poses: FloatArray) -> FloatArray:
         """(..., c, 3) of poses (..., 3)."""
         return se2.compose(self._moves, poses[..., None, :])
-
-    def moved(self, poses: FloatArray, sides: FloatArray, copy: int) -> tuple[FloatArray, FloatArray]:
-        """The same beliefs, written down at that copy of the poses (n, 3); sides (n, c)."""
-        return se2.compose(self._moves[copy], poses), sides[:, self._both[:, copy]]
 
     def nearest(self, poses: FloatArray, to: FloatArray) -> IntArray:
         """(n,) which copy of each pose lies next to the pose `to`."""
