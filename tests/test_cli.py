@@ -34,7 +34,7 @@ from logs.writer import LogWriter
 ROOT = Path(__file__).resolve().parent.parent
 
 pytestmark = pytest.mark.usefixtures("here")
-ONLINE = ("dead-reckoning", "ekf", "particles")
+ONLINE = ("dead-reckoning", "ekf", "particles", "mixture")
 UNSURE = [name for name in (*ONLINE, "smooth") if isinstance(ALL[name](Config()), Ambiguous)]
 COMMANDS = (
     "import",
@@ -79,9 +79,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         raw(out / f"foreign_{role}.mcap", messages, foreign=f"/{role}")
     strange = Message("/estimate", 0, Truth(0, np.zeros(3)))
     raw(out / "foreign_estimate.mcap", [*messages, strange], foreign="/estimate")
-    assert main(["run", str(out / "good.mcap"), "-o", str(out / "ekf.mcap"), "--quiet"]) == 0
+    assert main(["run", str(out / "good.mcap"), "-o", str(out / "mixture.mcap"), "--quiet"]) == 0
     halved(out / "good.mcap", out / "cut.mcap")
-    halved(out / "ekf.mcap", out / "cutekf.mcap")
+    halved(out / "mixture.mcap", out / "cutmixture.mcap")
     (out / "empty.mcap").write_bytes(b"")
     (out / "stub.mcap").write_bytes((out / "good.mcap").read_bytes()[:5])
     (out / "text.mcap").write_text("stamp,x,y\n1,2,3\n")
@@ -178,7 +178,10 @@ def test_the_examples_are_well_typed(call: Call, here: Path) -> None:
         ("run", "LOG"),
         ("export x.mcap y.mcap --format csv", "unrecognized arguments: y.mcap"),
         ("run x.mcap --estimator kalman", "--estimator: invalid choice: 'kalman'"),
-        ("run x.mcap --start 1,2", "--start: '1,2' is not X,Y,HEADING_DEG"),
+        (
+            "run x.mcap --start 1,2",
+            "--start: '1,2' is neither X,Y,HEADING_DEG in numbers",
+        ),
         ("run x.mcap --start 1,2,east", "--start: '1,2,east'"),
         ("run x.mcap --start -1,nan,0", "--start: '-1,nan,0'"),
         ("run x.mcap --start", "--start: expected one argument"),
@@ -248,7 +251,7 @@ READERS = {
     "compare": "compare {log} --estimators dead-reckoning -o out",
     "compare the second": "compare {good} {log} --estimators dead-reckoning -o out",
     "evaluate": "evaluate {log} --truth {good}",
-    "evaluate against": "evaluate {ekf} --truth {log}",
+    "evaluate against": "evaluate {mixture} --truth {log}",
     "export": "export {log} --format tum -o out.tum",
     "import woods": "import woods {log} -o out.mcap",
     "import utias": "import utias {log} --robot 1 -o out.mcap",
@@ -357,9 +360,9 @@ def test_estimates_and_truth_cut_in_the_middle_are_evaluated_and_exported_as_far
     call: Call, made: Path, here: Path
 ) -> None:
     for arguments, counted in (
-        (("evaluate", made / "cutekf.mcap", "--truth", made / "good.mcap"), "cutekf"),
-        (("evaluate", made / "ekf.mcap", "--truth", made / "cut.mcap"), "cut"),
-        (("export", made / "cutekf.mcap", "--format", "tum", "-o", "out.tum"), "cutekf"),
+        (("evaluate", made / "cutmixture.mcap", "--truth", made / "good.mcap"), "cutmixture"),
+        (("evaluate", made / "mixture.mcap", "--truth", made / "cut.mcap"), "cut"),
+        (("export", made / "cutmixture.mcap", "--format", "tum", "-o", "out.tum"), "cutmixture"),
     ):
         said = call(*arguments)
         assert said.code == 0
@@ -436,7 +439,7 @@ def test_a_map_given_by_hand_stands_in_for_the_logs_own(call: Call, made: Path, 
     said = call("run", made / "nomap.mcap", "--field", "tubes.toml", "-o", "out.mcap")
     assert (said.code, said.err) == (0, "")
     ours = [e.pose for e in poses(here / "out.mcap")]
-    assert np.array_equal(ours, [e.pose for e in poses(made / "ekf.mcap")])
+    assert np.array_equal(ours, [e.pose for e in poses(made / "mixture.mcap")])
     assert LogFile(here / "out.mcap").field_map() is not None
 
 
@@ -446,7 +449,7 @@ WRITERS = {
     "run": "run {good} -o {out}",
     "smooth": "smooth {good} -o {out}",
     "compare": "compare {good} --estimators dead-reckoning -o {out}",
-    "export": "export {ekf} --format tum -o {out}",
+    "export": "export {mixture} --format tum -o {out}",
 }
 
 
@@ -486,7 +489,7 @@ def test_a_folder_without_permission_is_one_line(
 @pytest.mark.parametrize("spelling", ["same", "link", "detour"])
 def test_nothing_is_written_over_what_is_read(call: Call, made: Path, here: Path, pattern: str, spelling: str) -> None:
     source = here / "log.mcap"
-    source.write_bytes((made / "ekf.mcap" if "export" in pattern else made / "good.mcap").read_bytes())
+    source.write_bytes((made / "mixture.mcap" if "export" in pattern else made / "good.mcap").read_bytes())
     (here / "link.mcap").symlink_to(source)
     target = {"same": "log.mcap", "link": "link.mcap", "detour": "../here/log.mcap"}[spelling]
     before, bytes_before = listing(here), source.read_bytes()
@@ -547,12 +550,12 @@ def test_estimates_carry_the_logs_own_stamps(call: Call, made: Path, here: Path,
 
 
 @pytest.mark.parametrize(
-    "pattern", ["run {good} -o out.mcap", "smooth {good} -o out.mcap", "export {ekf} --format tum -o out.tum"]
+    "pattern", ["run {good} -o out.mcap", "smooth {good} -o out.mcap", "export {mixture} --format tum -o out.tum"]
 )
 def test_quiet_says_nothing_but_warnings(call: Call, made: Path, pattern: str) -> None:
     assert call(*filled(pattern, made)).out != ""
     assert call(*filled(pattern, made), "--quiet") == Said(0, "", "")
-    cut = pattern.replace("{good}", "{cut}").replace("{ekf}", "{cutekf}")
+    cut = pattern.replace("{good}", "{cut}").replace("{mixture}", "{cutmixture}")
     said = call(*filled(cut, made), "--quiet")
     assert (said.code, said.out, len(said.lines)) == (0, "", 1)
 
@@ -743,8 +746,8 @@ def test_compare_of_failures_alone_is_an_error_and_leaves_no_report(call: Call, 
 
 
 def test_evaluate_prints_what_is_in_its_json(call: Call, made: Path) -> None:
-    text = call("evaluate", made / "ekf.mcap", "--truth", made / "good.mcap")
-    numbers = call("evaluate", made / "ekf.mcap", "--truth", made / "good.mcap", "--json")
+    text = call("evaluate", made / "mixture.mcap", "--truth", made / "good.mcap")
+    numbers = call("evaluate", made / "mixture.mcap", "--truth", made / "good.mcap", "--json")
     assert (text.code, text.err, numbers.code, numbers.err) == (0, "", 0, "")
     metrics = json.loads(numbers.out)
     assert metrics["matched_poses"] == COUNT
@@ -755,7 +758,7 @@ def test_evaluate_prints_what_is_in_its_json(call: Call, made: Path) -> None:
 def test_evaluate_of_another_recording_says_both_times(call: Call, made: Path, tmp_path: Path) -> None:
     with LogWriter(tmp_path / "other.mcap") as log:
         log.write("/truth", Truth(10**18, np.zeros(3)))
-    said = call("evaluate", made / "ekf.mcap", "--truth", tmp_path / "other.mcap")
+    said = call("evaluate", made / "mixture.mcap", "--truth", tmp_path / "other.mcap")
     assert (said.code, said.out, len(said.lines)) == (1, "", 1)
     assert "0.000 to 8.000 s" in said.err
     assert "1000000000.000" in said.err
@@ -787,16 +790,16 @@ def test_evaluate_agrees_with_evo_on_what_export_wrote(call: Call, tmp_path: Pat
     sync = pytest.importorskip("evo.core.sync")
     trajectory = pytest.importorskip("evo.core.trajectory")
     log = write(tmp_path / "minute.mcap", sample_messages(100.0), nearer_than(3.0))
-    assert call("run", log, "-o", "ekf.mcap").code == 0
-    assert call("export", "ekf.mcap", "--format", "tum").code == 0
+    assert call("run", log, "-o", "mixture.mcap").code == 0
+    assert call("export", "mixture.mcap", "--format", "tum").code == 0
     assert call("export", log, "--format", "tum", "--truth", "-o", "truth.tum").code == 0
-    ours = json.loads(call("evaluate", "ekf.mcap", "--truth", log, "--json").out)
+    ours = json.loads(call("evaluate", "mixture.mcap", "--truth", log, "--json").out)
 
     def read(path: Path) -> object:
         table = np.loadtxt(path)
         return trajectory.PoseTrajectory3D(table[:, 1:4], table[:, [7, 4, 5, 6]], table[:, 0])
 
-    pair = sync.associate_trajectories(read(here / "truth.tum"), read(here / "ekf.tum"))
+    pair = sync.associate_trajectories(read(here / "truth.tum"), read(here / "mixture.tum"))
     assert ours["matched_poses"] == pair[0].num_poses > 900
 
     def evo(kind: str, relation: str, *delta: object) -> dict[str, float]:
@@ -822,12 +825,12 @@ def test_evaluate_agrees_with_evo_on_what_export_wrote(call: Call, tmp_path: Pat
 @pytest.mark.parametrize(
     ("pattern", "moment"),
     [
-        ("run {good} -o out.mcap", "estimators.ekf.Ekf.update"),
+        ("run {good} -o out.mcap", "estimators.mixture.MixtureFilter.observe"),
         ("run {good} -o out.mcap", "logs.writer.LogWriter.write_raw"),
         ("smooth {good} -o out.mcap", "estimators.smoother.Smoother.trajectory"),
         ("compare {good} --estimators ekf -o out", "logs.report.page.page"),
         ("compare {good} --estimators ekf -o out", "logs.report._png"),
-        ("export {ekf} --format tum -o out.tum", "logs.export.exact_seconds"),
+        ("export {mixture} --format tum -o out.tum", "logs.export.exact_seconds"),
     ],
 )
 def test_an_interrupt_at_any_moment_leaves_no_file(
@@ -977,7 +980,7 @@ def test_a_person_sees_progress_and_can_interrupt_it(here: Path) -> None:
     process = start(["run", sample_path("woods"), "-o", "out.mcap"], here, stderr=theirs)
     os.close(theirs)
     shown = read_terminal(ours, until="%")
-    assert re.search(r"ekf( reading)? +\d+ %", shown)
+    assert re.search(r"mixture( reading)? +\d+ %", shown)
     process.send_signal(signal.SIGINT)
     shown = read_terminal(ours)
     os.close(ours)
@@ -1000,4 +1003,4 @@ def test_progress_is_for_those_who_see_it_and_want_it(call: Call, made: Path, mo
     call("run", made / "good.mcap", "-o", "out.mcap", "--quiet")
     assert sys.stderr.getvalue() == ""
     call("run", made / "good.mcap", "-o", "out.mcap")
-    assert re.search(r"\rekf +\d+ % ", sys.stderr.getvalue())
+    assert re.search(r"\rmixture +\d+ % ", sys.stderr.getvalue())

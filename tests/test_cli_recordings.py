@@ -219,18 +219,18 @@ def test_a_merged_result_holds_the_log_and_can_be_reported_alone(call: Call, log
     assert held["/estimate"] == held["/fieldloc/pose"] == held["/fieldloc/pose_with_covariance"] > 0
     said = call("report", "all.mcap", "-o", "report")
     assert said.code == 0
-    assert "ekf" in said.out
+    assert "mixture" in said.out
     assert (here / "report" / "report.html").exists()
     alone = json.loads((here / "report" / "metrics.json").read_text())
-    call("compare", log, "--estimators", "ekf", "-o", "compared")
+    call("compare", log, "--estimators", "mixture", "-o", "compared")
     compared = json.loads((here / "compared" / "metrics.json").read_text())
-    one, other = (document["logs"][0]["estimators"]["ekf"] for document in (alone, compared))
+    one, other = (document["logs"][0]["estimators"]["mixture"] for document in (alone, compared))
     assert one["ate_rmse_m"] == other["ate_rmse_m"]
 
 
 def test_a_report_takes_the_truth_from_the_log(call: Call, log: Path, here: Path) -> None:
-    assert call("run", log, "-o", "ekf.mcap").code == 0
-    assert call("report", "ekf.mcap", "--truth", log, "-o", "report").code == 0
+    assert call("run", log, "-o", "mixture.mcap").code == 0
+    assert call("report", "mixture.mcap", "--truth", log, "-o", "report").code == 0
     assert "ate_rmse_m" in (here / "report" / "metrics.json").read_text()
 
 
