@@ -1,5 +1,6 @@
 """Measurements and a map to mixtures: all that each of them can mean, whatever is known of the robot's place."""
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 
@@ -18,6 +19,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.repeated_mixture import RepeatedMixture
 from fieldloc.repetition import ErrorCorrelation, Repetition, inflation
+from fieldloc.scan_coverage import Misses, Sightings
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import PoseStack
@@ -25,6 +27,8 @@ from fieldloc.tempering import tempered
 
 _DEFAULT_CORRELATION = ErrorCorrelation()
 _DEFAULT_DETECTION = Detection()
+_MOUNTS = 16
+_NO_NEWS = 0.01  # share of it
 _ANY_IMAGE, _COMPASS = -1, -2  # beside the map's indices
 
 
@@ -44,6 +48,8 @@ class MixtureBuilder:
         self._detection = detection
         self._area_m2 = float(np.exp(anywhere(field).log_volume)) / (2 * np.pi)
         self._repetition = Repetition()
+        self._sightings: dict[bytes, Sightings] = {}  # by where the sensor is mounted
+        self._last_scan_ns: int | None = None
         self._unknown: Counter[str] = Counter()
         self._images_without_camera = 0
 
@@ -66,7 +72,7 @@ class MixtureBuilder:
         match measurement:
             case LandmarkScan():
                 self._count_unknown(measurement.labels)
-                return scan_mixture(measurement, self._field, self._detection, self._wider_landmarks(stamp_ns))
+                return self._scan(measurement)
             case ImageFeatures():
                 if self._camera is None:
                     self._images_without_camera += 1
@@ -90,6 +96,31 @@ class MixtureBuilder:
                     self._repetition.see(_COMPASS, mixture.stamp_ns)
             case _:
                 self._repetition.see(_ANY_IMAGE, mixture.stamp_ns)
+
+    def _scan(self, scan: LandmarkScan) -> ScanMixture | None:
+        wider = self._wider_landmarks(scan.stamp_ns)
+        mixture = scan_mixture(scan, self._field, self._detection, wider, self._misses(scan))
+        if mixture is not None and (sightings := self._of_sensor(scan)) is not None:
+            sightings.see(mixture.scan.range_bearing)
+        self._last_scan_ns = scan.stamp_ns
+        return mixture
+
+    def _misses(self, scan: LandmarkScan) -> Misses | None:
+        sightings = self._of_sensor(scan)
+        if sightings is None or (coverage := sightings.coverage) is None or not np.isfinite(scan.range_bearing).all():
+            return None
+        age_s = math.inf if self._last_scan_ns is None else max(scan.stamp_ns - self._last_scan_ns, 0) * 1e-9
+        news = 1.0 / inflation(np.array(age_s), self._correlation.hidden_s)
+        return Misses(coverage, float(news), scan.range_bearing) if news > _NO_NEWS else None
+
+    def _of_sensor(self, scan: LandmarkScan) -> Sightings | None:
+        """None for one that is never mounted in the same way for long: what it covers is not known."""
+        mount = scan.robot_from_sensor.tobytes()
+        if mount not in self._sightings:
+            if len(self._sightings) == _MOUNTS:
+                return None
+            self._sightings[mount] = Sightings(self._field, self._detection.landmark)
+        return self._sightings[mount]
 
     def _image(self, features: ImageFeatures, camera: Camera) -> MixtureFactor | None:
         wider = self._wider(_ANY_IMAGE, features.stamp_ns, self._correlation.image_s)

@@ -18,7 +18,7 @@ _MAX_RHO = 0.999  # a burst at one stamp still counts for something
 @dataclass(frozen=True, slots=True)
 class ErrorCorrelation:
     """Over what time errors stay alike: of a landmark's range, of its bearing, of all that one camera image says, of a
-    compass.
+    compass; and over what time landmarks stay hidden.
 
     0 takes every observation for news. A compass beside steel or motors is wrong for ten seconds or so: those are to
     weigh as two readings, of which the right ones of the next half minute can still make good.
@@ -28,6 +28,7 @@ class ErrorCorrelation:
     bearing_s: float = 0.5
     image_s: float = 1.0
     compass_s: float = 5.0
+    hidden_s: float = 0.5
 
 
 class Repetition:

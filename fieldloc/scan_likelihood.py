@@ -3,6 +3,7 @@
 import numpy as np
 
 from fieldloc.pose import FloatArray
+from fieldloc.scan_coverage import Misses
 from fieldloc.scan_model import ScanModel
 
 _EXACT = 6  # observations, up to which those of one landmark are kept apart exactly
@@ -10,9 +11,9 @@ _CONFLICT = 1e-3  # share of assignments that give a landmark away twice, below 
 _AT_ONCE = 400_000  # numbers
 
 
-def log_sum(model: ScanModel, poses: FloatArray, log_floor: float) -> FloatArray:
+def log_sum(model: ScanModel, poses: FloatArray, log_floor: float, misses: Misses | None = None) -> FloatArray:
     """(h,) relative to all being clutter, at poses (h, 3) of the sensor; log_floor: of what else there is, that and all
-    clutter included.
+    clutter included. misses: what is not seen counts for assignments, not for the floor.
 
     Assignments are one to one: exactly for up to six observations, two by two for more; to a thousandth in any case.
     """
@@ -25,10 +26,18 @@ def log_sum(model: ScanModel, poses: FloatArray, log_floor: float) -> FloatArray
     wider = model.widening(*np.nonzero(near))
     out = np.empty(len(poses))
     for part in parts:
-        ratio = np.where(near[:, None, used], np.exp(np.minimum(model.log_gains(poses[part], used, wider), 600.0)), 0.0)
-        out[part] = _log_matchings(ratio)
-    # what is found holds all clutter too, and so does the floor
-    return np.asarray(log_floor + np.log1p(np.exp(out - log_floor) - np.exp(-log_floor)))
+        gain = model.log_gains(poses[part], used, wider)
+        log_missed = (
+            np.zeros((len(gain[0]), len(model.positions))) if misses is None else misses.log_missed(poses[part])
+        )
+        gain -= log_missed[:, used]
+        ratio = np.where(near[:, None, used], np.exp(np.minimum(gain, 600.0)), 0.0)
+        # what is found holds all clutter too, and so does the floor
+        found = _log_matchings(ratio)
+        with np.errstate(divide="ignore"):
+            some = np.log(-np.expm1(-np.maximum(found, 0.0))) + found
+        out[part] = np.logaddexp(log_floor, some + log_missed.sum(axis=1))
+    return out
 
 
 def _log_matchings(ratio: FloatArray) -> FloatArray:

@@ -6,6 +6,8 @@
                      + (1 - right) * product of u
 
 with u the density of a thing that may be anywhere: alike over all bearings, and over ranges up to the map's diagonal.
+Once it is known what the sensor covers, each assignment also has the probability that of the landmarks covered just the
+others are not seen; what is all clutter or not right has that of a robot that may be anywhere.
 """
 
 from dataclasses import dataclass, field
@@ -24,6 +26,7 @@ from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import expand, likeliest
+from fieldloc.scan_coverage import Misses
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
 from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
@@ -36,7 +39,7 @@ _MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFi
 @dataclass(frozen=True, eq=False)
 class ScanMixture:
     """scan: its landmarks that can be of the map. log_right: prior of a scan that is right, times the density of all
-    landmarks as clutter."""
+    landmarks as clutter. misses: None where it is not known what the sensor covers."""
 
     stamp_ns: int
     scan: LandmarkScan
@@ -45,6 +48,7 @@ class ScanMixture:
     log_right: float
     log_outlier: float
     symmetric: bool
+    misses: Misses | None = None
     by_compass: bool = False
     _ids: dict[bytes, int] = field(default_factory=dict, init=False)
     _matches: list[IntArray] = field(default_factory=list, init=False)
@@ -57,7 +61,7 @@ class ScanMixture:
         at = poses if mount is None else se2.compose(poses, self.scan.robot_from_sensor)
         spread = covariances if mount is None else mount @ covariances @ mount.T
         seen, matches = expand(self.model, at, spread)
-        return Expansion(
+        out = Expansion(
             seen.parent,
             self._intern(matches),
             seen.constant + self.log_right,
@@ -65,6 +69,17 @@ class ScanMixture:
             seen.information if mount is None else mount.T @ seen.information @ mount,
             seen.covariance if mount is None else covariances[seen.parent],
         )
+        if self.misses is not None and len(matches):
+            # where they lead, by steps that are taken straight; the constants are its own, its steps are kept as found
+            step = out.step if mount is None else out.step @ mount.T
+            left = out.updated if mount is None else mount @ out.updated @ mount.T
+            there = at[seen.parent]
+            c, s = np.cos(there[:, 2]), np.sin(there[:, 2])
+            there[:, 0] += c * step[:, 0] - s * step[:, 1]
+            there[:, 1] += s * step[:, 0] + c * step[:, 1]
+            there[:, 2] += step[:, 2]
+            out.constant[:] += self._log_missed(there, left, matches)
+        return out
 
     @cached_property
     def _mount(self) -> FloatArray | None:
@@ -75,13 +90,25 @@ class ScanMixture:
     def log_likelihood(self, poses: FloatArray) -> FloatArray:
         at = se2.compose(poses.reshape(-1, 3), self.scan.robot_from_sensor)
         wrong = self.log_outlier - self.log_right  # with all clutter in it
-        return np.asarray((self.log_right + log_sum(self.model, at, wrong)).reshape(poses.shape[:-1]))
+        return np.asarray((self.log_right + log_sum(self.model, at, wrong, self.misses)).reshape(poses.shape[:-1]))
 
     @cached_property
     def log_integral(self) -> float:
         """Lower bound: of `solutions` and what leaves the heading open beside them, and of what explains one landmark
         only. Left out is what explains some, but fewer than `solutions` goes down to."""
         return float(np.logaddexp.reduce([*self._rings().ravel(), *(self._fits.log_weights + self.log_right)]))
+
+    def _log_missed(self, at: FloatArray, spread: FloatArray, matches: IntArray) -> FloatArray | float:
+        """(c,) log probability that of what is covered nothing but the matches (c, n) is seen, from the sensor's poses
+        (c, 3). Where they lead, not as it changes on the way there: the approximation."""
+        if self.misses is None or not len(at):
+            return 0.0
+        each = self.misses.log_missed(at, spread)
+        if not each.any():
+            return 0.0
+        rows, seen = np.nonzero(matches >= 0)
+        each[rows, matches[rows, seen]] = 0.0
+        return np.asarray(each.sum(axis=1))
 
     def chosen(self, solution: int) -> tuple[Factor, ...]:
         """A pose where two or more landmarks determine it, agree, and leave a Gaussian; each by itself else."""
@@ -140,11 +167,17 @@ class ScanMixture:
         with np.errstate(divide="ignore"):
             log_share = np.log(np.where(self.model.may, share, 0.0))
         weights = self.log_right + self.model.log_match - self.model.log_clutter + np.log(2 * np.pi * r)
+        if self.misses is not None:
+            weights = weights + self.misses.log_anywhere
         return np.asarray(weights[:, None] + log_share)
 
     @cached_property
     def _fits(self) -> Fits:
-        return whole_poses(self.model)
+        found = whole_poses(self.model)
+        if self.misses is None or not len(found.poses):
+            return found
+        weights = found.log_weights + self._log_missed(found.poses, found.covariances, found.matches)
+        return found._replace(log_weights=weights).take(np.argsort(-weights, kind="stable"))
 
     @cached_property
     def _solutions(self) -> PoseSolutions:
@@ -159,8 +192,15 @@ class ScanMixture:
         return PoseSolutions(poses, covariances, found.log_weights + self.log_right, self._intern(found.matches))
 
 
-def scan_mixture(scan: LandmarkScan, field: FieldMap, detection: Detection, wider: FloatArray) -> ScanMixture | None:
-    """wider: (m, 2) by how much variances of range and bearing are to be widened, per landmark of the map.
+def scan_mixture(
+    scan: LandmarkScan,
+    field: FieldMap,
+    detection: Detection,
+    wider: FloatArray,
+    misses: Misses | None = None,
+) -> ScanMixture | None:
+    """wider: (m, 2) by how much variances of range and bearing are to be widened, per landmark of the map. misses: None
+    where it is not known what the sensor covers.
 
     None where no landmark can be of the map. Left out are landmarks with a label that is not on the map, and numbers
     that no sensor can mean. ValueError for a covariance that is not positive definite.
@@ -213,8 +253,10 @@ def scan_mixture(scan: LandmarkScan, field: FieldMap, detection: Detection, wide
                 np.log(detection.nothing_right) + len(rows) * log_anywhere,
                 np.log1p(-detection.nothing_right) + log_clutter.sum(),
             )
+            + (0.0 if misses is None else misses.log_anywhere)
         ),
         symmetric=not (np.abs(moved) > 1e-6).any(),
+        misses=misses,
     )
 
 
