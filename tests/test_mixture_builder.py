@@ -7,17 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from image_scene import CAMERA, MOUNT, see
+from scipy.stats import chi2
 from walks import ALL_NEWS, FIELD, POSITIONS, ns, scan
 
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, PoseFactor
-from fieldloc.field import load_field
+from fieldloc.field import FieldMap, Landmark, load_field
 from fieldloc.fixes.landmarks import landmark_fix
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, LineObservation
 from fieldloc.mixture import MixtureFactor
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation, inflation
+from fieldloc.scan_fits import CHI2_LIMITS
 
 POSE = np.array([0.5, -1.0, 2.5])
 SENSOR = np.array([0.2, -0.1, 0.7])
@@ -88,6 +90,27 @@ def test_a_wrongly_labelled_landmark_among_others_is_left_out(wrong: int) -> Non
     right = [i for i in range(4) if i != wrong]
     (expected,) = likeliest(MixtureBuilder(FIELD).build(rows(whole, right)))
     assert_same(factor, expected)
+
+
+def test_a_good_scan_is_taken_apart_once_in_ten_thousand() -> None:
+    limits = [chi2.isf(1e-4, 2 * n - 3) for n in range(2, 10)]
+    np.testing.assert_allclose(CHI2_LIMITS, limits, atol=0.01)
+
+
+def test_two_landmarks_that_leave_a_banana_stay_single() -> None:
+    # half a metre apart at 3 m with 5 cm of noise each: the position swings with the heading, so the Gaussian is none
+    near = FieldMap(
+        "pair",
+        np.zeros((0, 2, 2)),
+        np.zeros((0, 3)),
+        tuple(Landmark(str(i), np.array([3.0, y]), 0.02, np.zeros((2, 2))) for i, y in enumerate((-0.25, 0.25))),
+    )
+    seen = np.array([[3.01, -0.083], [3.01, 0.083]])
+    made = LandmarkScan(3, ("0", "1"), seen, np.tile(np.diag([0.05, 0.03]) ** 2, (2, 1, 1)))
+    (fix,) = landmark_fix(near.positions, seen, made.covariance)
+    assert fix.nonlinearity > 0.5
+    factors = likeliest(MixtureBuilder(near).build(made), np.zeros(3))
+    assert [type(factor) for factor in factors] == [LandmarkFactor, LandmarkFactor]
 
 
 def test_landmarks_without_a_label_are_those_that_the_robot_s_place_says() -> None:
