@@ -57,26 +57,39 @@ class Expansion:
     information: FloatArray
     covariance: FloatArray
 
+    def take(self, rows: IntArray) -> "Expansion":
+        """Those solutions (n,), in rising order."""
+        if len(rows) == len(self.parent):
+            return self  # and what was derived
+        return Expansion(
+            self.parent[rows],
+            self.ids[rows],
+            self.constant[rows],
+            self.gradient[rows],
+            self.information[rows],
+            self.covariance[rows],
+        )
+
     @cached_property
-    def _shrink(self) -> FloatArray:
-        """(c, 3, 3) the inverse of 1 + covariance information."""
+    def shrink(self) -> FloatArray:
+        """(c, 3, 3) the inverse of 1 + covariance information: times a covariance before, it is that after."""
         return np.asarray(np.linalg.inv(np.eye(3) + self.covariance @ self.information))
 
     @cached_property
     def step(self) -> FloatArray:
         """(c, 3) mean of the tangent after the observation."""
-        return np.asarray((self._shrink @ self.covariance @ self.gradient[:, :, None])[..., 0])
+        return np.asarray((self.shrink @ self.covariance @ self.gradient[:, :, None])[..., 0])
 
     @cached_property
     def updated(self) -> FloatArray:
         """(c, 3, 3) covariance of the tangent after the observation, still at the parent's pose."""
-        out = self._shrink @ self.covariance
+        out = self.shrink @ self.covariance
         return np.asarray(0.5 * (out + np.swapaxes(out, -1, -2)))
 
     @cached_property
     def evidence(self) -> FloatArray:
         """(c,) log p(observation, solution) of a robot that is at the parent's pose up to its covariance."""
-        log_det = -np.linalg.slogdet(self._shrink)[1]
+        log_det = -np.linalg.slogdet(self.shrink)[1]
         return np.asarray(self.constant + 0.5 * np.sum(self.gradient * self.step, axis=1) - 0.5 * log_det)
 
 

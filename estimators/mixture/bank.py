@@ -119,8 +119,8 @@ class Bank:
         if by_compass:
             by_pose = by_pose.copy()
             by_pose[:, :, 2] += covariances[:, :, OFFSET]
-        # (1 + P I)^-1, by which P becomes the updated covariance, is taken to all ten numbers (matrix inversion lemma)
-        shrink = np.linalg.inv(np.eye(3) + seen.covariance @ seen.information)
+        # what shrinks the covariance of three numbers is taken to all ten (matrix inversion lemma)
+        shrink = seen.shrink
         step = (by_pose @ (np.swapaxes(shrink, -1, -2) @ seen.gradient[:, :, None]))[:, :, 0]
         covariances = covariances - by_pose @ (seen.information @ shrink) @ np.swapaxes(by_pose, -1, -2)
         turned = se2.right_jacobian(step[:, :3])

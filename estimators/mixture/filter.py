@@ -30,6 +30,7 @@ from fieldloc.measurements import Odometry
 from fieldloc.mixture import MixtureFactor, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import Region
+from fieldloc.scan_mixture import ScanMixture
 
 _DOUBT = np.log(0.1)  # of all being wrong: an observation is asked for its own poses
 _LOST = np.log(0.01)
@@ -60,7 +61,7 @@ class MixtureFilter:
         self._last: FloatArray | None = None  # its pose
         self._pending, self._pending_s = STANDSTILL, 0.0
         self._asked_ns: int | None = None
-        self._seen_ns: dict[type[MixtureFactor], int] = {}
+        self._scan_ns: int | None = None
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
@@ -131,13 +132,12 @@ class MixtureFilter:
         row, copy = self._first
         if self._config.mixture.whole_covariance:
             bank = self._moved(self._bank)
-            pose = se2.compose(self._sides.copies[copy], bank.poses[row])
+            pose = self._sides.of_one(copy, bank.poses[row])
             return Estimate(self._now_ns, pose, report.covariance_about(pose, bank, self._sides))
         pose, covariance = self._bank.poses[row], self._bank.covariances[row, :3, :3]
         if self._pending is not STANDSTILL:
             pose, covariance = self._bank.moved_one(row, self._pending)
-        if copy:
-            pose = se2.compose(self._sides.copies[copy], pose)
+        pose = self._sides.of_one(copy, pose)
         return Estimate(self._now_ns, pose, se2.rotate_covariance(covariance, pose[2]))
 
     def ambiguity(self) -> Ambiguity | None:
@@ -182,8 +182,8 @@ class MixtureFilter:
             row, copy = self._first
             self._known = self._bank.covariances[row, 3:, 3:]
             self._extra = self._bank.extra[row]
-            self._last = se2.compose(self._sides.copies[copy], self._bank.poses[row])
-            self._bank = replace(self._bank, log_weights=self._bank.log_weights + np.log1p(-self._carried))
+            self._last = self._sides.of_one(copy, self._bank.poses[row])
+            self._bank = replace(self._bank, log_weights=self._bank.log_weights + math.log1p(-self._carried))
         self._pending, self._pending_s = STANDSTILL, 0.0
 
     @property
@@ -202,10 +202,9 @@ class MixtureFilter:
 
     def _news(self, mixture: MixtureFactor) -> float:
         """Share of what it says of hypotheses against each other that was not said a moment ago."""
-        if mixture.by_compass:
-            return 1.0  # has seen to it itself
-        before_ns = self._seen_ns.get(type(mixture))
-        self._seen_ns[type(mixture)] = self._now_ns
+        if not isinstance(mixture, ScanMixture):
+            return 1.0  # all other kinds have seen to it themselves
+        before_ns, self._scan_ns = self._scan_ns, self._now_ns
         if before_ns is None:
             return 1.0
         old = 1.0 - self._config.mixture.evidence_share
@@ -245,7 +244,8 @@ class MixtureFilter:
         settings = self._config.mixture
         least = tracked + np.log(settings.prune_below)
         bank = children.born(self._bank, least, by_compass) if not started else self._bank
-        bank = bank.joined(births.take(np.flatnonzero(births.totals >= least)))
+        if len(births):
+            bank = bank.joined(births.take(np.flatnonzero(births.totals >= least)))
         self._lost = self._lost.after(missed - everything)
         if not len(bank):
             return
@@ -266,7 +266,7 @@ class MixtureFilter:
         before = self._first[0]
         self._bank = bank
         self._first = row, copy = report.best(bank, self._sides, self._last)
-        self._last = se2.compose(self._sides.copies[copy], bank.poses[row])
+        self._last = self._sides.of_one(copy, bank.poses[row])
         self._extra, self._known = bank.extra[row], bank.covariances[row, 3:, 3:]
         self._lineage.follow(bank, before, choice)
         if started:

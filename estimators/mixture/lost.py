@@ -5,6 +5,7 @@ it may be anywhere. An observation finds it at its solutions, in Bayes' way: eac
 robot there, before, times the integral of the solution over poses.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,9 +42,9 @@ class Lost:
     def fed(self, share: float) -> "Lost":
         """A share of all robots, but for those that were already, is carried away."""
         share = min(share, _NEARLY)
-        begin, carried = self.log_weights
-        newly = np.log(share) + np.log1p(-min(np.exp(carried), _NEARLY))
-        return self.after(np.array([begin + np.log1p(-share), np.logaddexp(carried, newly)]))
+        begin, carried = self.log_weights.tolist()
+        newly = math.log(share) + math.log1p(-min(math.exp(carried), _NEARLY))
+        return self.after(np.array([begin + math.log1p(-share), np.logaddexp(carried, newly)]))
 
     @property
     def total(self) -> float:

@@ -51,22 +51,21 @@ def merged(bank: Bank, sides: Sides) -> tuple[Bank, IntArray]:
 
 def _alike(bank: Bank, sides: Sides) -> tuple[IntArray, IntArray, IntArray]:
     """(n,) rows of pairs that may be merged, the likelier first, in order; and which copy of it the second is."""
-    spread = np.sqrt(np.diagonal(bank.covariances, axis1=1, axis2=2))
-    reach = _NEAR_SIGMAS * (np.hypot(spread[:, 0], spread[:, 1])[:, None] + np.hypot(spread[:, 0], spread[:, 1]))
-    turn = _NEAR_SIGMAS * (spread[:, None, 2] + spread[:, 2])
+    variances = np.diagonal(bank.covariances, axis1=1, axis2=2)
+    reach = _NEAR_SIGMAS * np.sqrt(variances[:, 0] + variances[:, 1])
+    turn = _NEAR_SIGMAS * np.sqrt(variances[:, 2])
+    reach, turn = reach[:, None, None] + reach, turn[:, None, None] + turn
     at = sides.unfold(bank.poses)[:, :, None]  # (h, c, 1, 3), against (h, 3)
     apart = bank.poses - at
-    near = (np.abs(apart[..., 0]) < reach[:, None]) & (np.abs(apart[..., 1]) < reach[:, None])
-    near &= np.abs(se2.wrap(apart[..., 2])) < turn[:, None]
-    near &= np.triu(np.ones((len(bank), len(bank)), dtype=np.bool_), 1)[:, None]
+    near = (np.abs(apart[..., :2]) < reach[..., None]).all(axis=-1) & (np.abs(se2.wrap(apart[..., 2])) < turn)
+    rank = np.arange(len(bank))
+    near &= (rank[:, None] < rank)[:, None]
     one, copy, other = np.nonzero(near)
     if not len(one):
         return one, other, copy
     loss, apart2, same_sides = _compared(bank, sides, one, other, copy)
     good = (loss < np.where(same_sides, _ALIKE, _SAME)) & (apart2 < _APART2)
-    one, other, copy = one[good], other[good], copy[good]
-    order = np.argsort(one, kind="stable")
-    return one[order], other[order], copy[order]
+    return one[good], other[good], copy[good]
 
 
 def _compared(
@@ -76,7 +75,7 @@ def _compared(
     totals = bank.totals
     share = 1.0 / (1.0 + np.exp(totals[one] - totals[other]))
     offset = bank.extra[other, -1] - bank.extra[one, -1]
-    tangent = se2.local(se2.compose(sides.copies[copy], bank.poses[one]), bank.poses[other])
+    tangent = se2.local(sides.of_copy(copy, bank.poses[one]), bank.poses[other])
     step = np.concatenate([tangent, offset[:, None]], axis=1)
     covariances = bank.covariances[:, _COMPARED[:, None], _COMPARED]
     log_det = np.linalg.slogdet(covariances)[1]
@@ -94,6 +93,8 @@ def _compared(
 
 def _as_sides_of(weights: FloatArray, copy: IntArray, sides: Sides) -> FloatArray:
     """(n, c) weights of copies of poses which are themselves that copy (n,) of another, as of copies of that one."""
+    if not copy.any():
+        return weights
     out = np.empty_like(weights)
     np.put_along_axis(out, sides.after.T[copy], weights, axis=1)
     return out
@@ -113,7 +114,7 @@ def _together(bank: Bank, heads: IntArray, group: IntArray, copy: IntArray, side
     weights = np.exp(totals[rows] - out.totals[several][index])
     steps = np.concatenate(
         [
-            se2.local(se2.compose(sides.copies[copy[rows]], bank.poses[heads][index]), bank.poses[rows]),
+            se2.local(sides.of_copy(copy[rows], bank.poses[heads][index]), bank.poses[rows]),
             bank.extra[rows] - bank.extra[heads][index],
         ],
         axis=1,

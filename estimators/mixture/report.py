@@ -25,7 +25,7 @@ def best(bank: Bank, sides: Sides, last: FloatArray | None) -> tuple[int, int]:
             return 0, int(alike[0])
         return 0, int(alike[np.argmin(distance(sides.unfold(bank.poses)[0, alike], last))])
     rows, copies = np.nonzero(weights >= weights.max() - _MINOR)
-    poses = se2.compose(sides.copies[copies], bank.poses[rows])
+    poses = sides.of_copy(copies, bank.poses[rows])
     there = distance(poses[:, None], poses) < _PLACE_M
     likely = weights[rows, copies]
     places = np.log(there @ np.exp(likely - likely.max()))
@@ -65,7 +65,7 @@ def ambiguity(
     """first: row and copy of the estimate."""
     weights = np.exp(bank.log_weights)
     weights *= (1.0 - lost) / weights.sum()
-    pose = se2.compose(sides.copies[first[1]], bank.poses[first[0]])
+    pose = sides.of_one(first[1], bank.poses[first[0]])
     ranked = weights.copy()
     ranked[first] = np.inf
     order = np.argsort(-ranked, axis=None, kind="stable")
@@ -73,7 +73,7 @@ def ambiguity(
     shown = weights.ravel()[order]
     shown *= (1.0 - lost) / shown.sum()
     rows, copies = np.unravel_index(order, weights.shape)
-    poses = se2.compose(sides.copies[copies], bank.poses[rows])
+    poses = sides.of_copy(copies, bank.poses[rows])
     covariances = se2.rotate_covariance(bank.covariances[rows, :3, :3], poses[:, 2])
     numbers = tracks[rows, copies].tolist()
     hypotheses = tuple(

@@ -33,6 +33,14 @@ class Sides:
             return poses[:, None]
         return se2.compose(self.copies, poses[:, None])
 
+    def of_copy(self, copy: IntArray, poses: FloatArray) -> FloatArray:
+        """(n, 3) that copy (n,) of each of the poses (n, 3)."""
+        return se2.compose(self.copies[copy], poses) if copy.any() else poses
+
+    def of_one(self, copy: int, pose: FloatArray) -> FloatArray:
+        """(3,) that copy of a pose (3,)."""
+        return se2.compose(self.copies[copy], pose) if copy else pose
+
     def nearest(self, poses: FloatArray, pose: FloatArray) -> IntArray:
         """(...) which copy of the pose (3,) each of poses (..., 3) is nearest to."""
         return np.asarray(np.argmin(distance(poses[..., None, :], se2.compose(self.copies, pose)), axis=-1))

@@ -7,7 +7,6 @@ import numpy as np
 from estimators.base import Innovation
 from estimators.mixture.bank import CALIBRATION, OFFSET, Bank
 from estimators.mixture.sides import Sides
-from fieldloc import pose as se2
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.factors import Factor, HeadingFactor
 from fieldloc.mixture import Expansion, IntArray, MixtureFactor
@@ -39,7 +38,7 @@ class Sight:
             copy = np.zeros_like(rows)
         else:
             rows, copy = np.nonzero(bank.log_weights > bank.log_weights.max() - _ALIVE)
-            poses, covariances = se2.compose(sides.copies[copy], bank.poses[rows]), covariances[rows]
+            poses, covariances = sides.of_copy(copy, bank.poses[rows]), covariances[rows]
             log_weights = np.full((len(rows), len(sides)), -np.inf)
             log_weights[np.arange(len(rows)), copy] = bank.log_weights[rows, copy]
         if by_compass:
@@ -76,7 +75,7 @@ class Children:
     def tempered(self, share: float) -> "Children":
         """What the observation says of hypotheses against each other counts only that share of a full observation, what
         it says of the children of one in full."""
-        if len(self.before) < 2:
+        if share == 1.0 or len(self.before) < 2:
             return self
         after = np.full(len(self.before), -np.inf)
         np.logaddexp.at(after, self.seen.parent, np.logaddexp.reduce(self.log_weights, axis=1))
@@ -100,11 +99,7 @@ class Children:
     def born(self, bank: Bank, least: float, by_compass: bool) -> Bank:
         """Those whose log-weight is at least that."""
         keep = np.flatnonzero(np.logaddexp.reduce(self.log_weights, axis=1) >= least)
-        s = self.seen
-        seen = Expansion(
-            s.parent[keep], s.ids[keep], s.constant[keep], s.gradient[keep], s.information[keep], s.covariance[keep]
-        )
-        out = bank.corrected(self.parents[keep], seen, self.log_weights[keep], by_compass)
+        out = bank.corrected(self.parents[keep], self.seen.take(keep), self.log_weights[keep], by_compass)
         keep = np.flatnonzero(np.logaddexp.reduce(self.blind_weights, axis=1) >= least)
         if not len(keep):
             return out

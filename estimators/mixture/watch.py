@@ -1,5 +1,7 @@
 """What befalls the hypotheses, as a few sentences: of those only that differ by what a person would call a place."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,7 @@ from fieldloc.pose import FloatArray
 _PLACE_M = 0.5
 _LIKELY = 0.05
 _GONE = 0.01
+_LOG_GONE = math.log(_GONE)
 _DECIDED = 0.99
 _OPEN = 0.9  # decided no more
 
@@ -39,11 +42,12 @@ class Watch:
     def merges(self, stamp_ns: int, before: Bank, into: IntArray, tracks: IntArray) -> None:
         """before: the hypotheses (h,) not yet merged; row of the merged bank in which each now is. tracks: of their
         parents."""
-        if not self._known:
+        if not self._known or len(tracks) < 2:
             return
-        known = np.append(np.isin(tracks, list(self._known)).any(axis=1), False)
-        rows = np.flatnonzero(known[before.parents] & (before.totals >= np.log(_GONE)))
-        families = set(zip(into[rows].tolist(), before.parents[rows].tolist(), strict=True))
+        known = {parent for parent, numbers in enumerate(tracks.tolist()) if not self._known.isdisjoint(numbers)}
+        alive = np.flatnonzero(before.totals >= _LOG_GONE)
+        pairs = zip(into[alive].tolist(), before.parents[alive].tolist(), strict=True)
+        families = {(row, parent) for row, parent in pairs if parent in known}
         if joined := len(families) - len({row for row, _ in families}):
             self._say(stamp_ns, "merge", f"{joined + 1} places have become one")
 
