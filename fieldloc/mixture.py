@@ -18,6 +18,7 @@ from fieldloc.factors import Factor
 from fieldloc.pose import FloatArray
 
 IntArray = NDArray[np.intp]
+_IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +74,7 @@ class Expansion:
     @cached_property
     def shrink(self) -> FloatArray:
         """(c, 3, 3) the inverse of 1 + covariance information: times a covariance before, it is that after."""
-        return np.asarray(np.linalg.inv(np.eye(3) + self.covariance @ self.information))
+        return np.asarray(np.linalg.inv(_IDENTITY + self.covariance @ self.information))
 
     @cached_property
     def step(self) -> FloatArray:
@@ -90,7 +91,7 @@ class Expansion:
     def evidence(self) -> FloatArray:
         """(c,) log p(observation, solution) of a robot that is at the parent's pose up to its covariance."""
         log_det = -np.linalg.slogdet(self.shrink)[1]
-        return np.asarray(self.constant + 0.5 * np.sum(self.gradient * self.step, axis=1) - 0.5 * log_det)
+        return np.asarray(self.constant + 0.5 * (np.einsum("ci,ci->c", self.gradient, self.step) - log_det))
 
 
 class MixtureFactor(Protocol):

@@ -28,9 +28,12 @@ from estimators.config import Config, Mixture
 from estimators.ekf import Ekf
 from estimators.mixture import MixtureFilter, merge
 from fieldloc import pose as se2
+from fieldloc.detection import Detection
 from fieldloc.factors import HeadingFactor, LandmarkFactor, PoseFactor
-from fieldloc.measurements import Odometry
+from fieldloc.field import FieldMap, Landmark
+from fieldloc.measurements import LandmarkScan, Odometry
 from fieldloc.pose import FloatArray
+from fieldloc.scan_mixture import scan_mixture
 
 EXACT = Mixture(max_hypotheses=5000, prune_below=1e-15, evidence_share=1.0, kidnaps_per_min=0.0)
 LITERAL = replace(PLAIN, mixture=EXACT)
@@ -137,6 +140,30 @@ def test_a_sight_of_one_pose_is_a_factor_of_that_pose() -> None:
     assert theirs is not None
     np.testing.assert_allclose(mine.pose, theirs.pose, atol=1e-5)  # linearised at one and the same place
     np.testing.assert_allclose(mine.covariance, theirs.covariance, rtol=1e-2, atol=1e-6)
+
+
+def test_only_scans_are_tempered_again() -> None:
+    # of images and compass readings those who made them have seen to it
+    places = np.array([[-2.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    post = Landmark("post", np.array([-1.0, 0.0]), 0.1, np.zeros((2, 2)))  # ahead of the first place only
+    field = FieldMap("one post", np.zeros((0, 2, 2)), np.zeros((0, 3)), (post,))
+    ahead = LandmarkScan(0, (None,), np.array([[1.0, 0.0]]), np.diag([0.5, 0.5])[None] ** 2)
+    scan = scan_mixture(ahead, field, Detection(), np.ones((1, 2)))
+    assert scan is not None
+    for again, share in ((scan, 0.1), (of_poses(0, places, np.log([0.8, 0.1]), -20.0), 1.0)):
+        gained = {}
+        for evidence_share in (0.1, 1.0):
+            estimator = MixtureFilter(replace(PLAIN, mixture=replace(EXACT, evidence_share=evidence_share)))
+            estimator.start_in(LOPSIDED, 0)
+            estimator.observe(of_poses(0, places, np.log([0.5, 0.5]), -20.0))
+            odds = []
+            for _ in range(2):
+                estimator.observe(again)
+                here = {hypothesis.pose[0] < 0.0: hypothesis.weight for hypothesis in now(estimator).hypotheses}
+                odds.append(np.log(here[True] / here[False]))
+            gained[evidence_share] = odds[1] - odds[0]
+        assert gained[1.0] > 0.1
+        assert gained[0.1] == pytest.approx(share * gained[1.0], rel=1e-6)
 
 
 def test_the_order_of_solutions_does_not_matter() -> None:

@@ -19,6 +19,7 @@ CALIBRATION = len(OdometryCalibration._fields)
 SIZE = 3 + CALIBRATION + 1
 OFFSET = SIZE - 1  # of the compass, in the covariance
 EXTRA = SIZE - 3
+_IDENTITY = np.eye(SIZE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,10 +89,11 @@ class Bank:
         offset_left, offset_gain: share of the compass' offset that stays, variance that it gains.
         """
         poses, extra = se2.compose(self.poses, motion.before_from_after), self.extra.copy()
-        if len(poses) > 1:
-            poses = se2.retract(poses, (extra[:, :CALIBRATION] - calibration) @ motion.by_calibration.T)
+        others = extra[:, :CALIBRATION] - calibration
+        if others.any():
+            poses = se2.retract(poses, others @ motion.by_calibration.T)
         extra[:, CALIBRATION] *= offset_left
-        step = np.eye(SIZE)
+        step = _IDENTITY.copy()
         step[:3, :3] = se2.adjoint(se2.inverse(motion.before_from_after))
         step[:3, 3:OFFSET] = motion.by_calibration
         step[OFFSET, OFFSET] = offset_left
@@ -121,15 +123,15 @@ class Bank:
             by_pose[:, :, 2] += covariances[:, :, OFFSET]
         # what shrinks the covariance of three numbers is taken to all ten (matrix inversion lemma)
         shrink = seen.shrink
-        step = (by_pose @ (np.swapaxes(shrink, -1, -2) @ seen.gradient[:, :, None]))[:, :, 0]
-        covariances = covariances - by_pose @ (seen.information @ shrink) @ np.swapaxes(by_pose, -1, -2)
+        step = (by_pose @ (shrink.swapaxes(-1, -2) @ seen.gradient[:, :, None]))[:, :, 0]
+        covariances = covariances - by_pose @ (seen.information @ shrink) @ by_pose.swapaxes(-1, -2)
         turned = se2.right_jacobian(step[:, :3])
         covariances[:, :3] = turned @ covariances[:, :3]
-        covariances[:, :, :3] = covariances[:, :, :3] @ np.swapaxes(turned, -1, -2)
+        covariances[:, :, :3] = covariances[:, :, :3] @ turned.swapaxes(-1, -2)
         return Bank(
             se2.retract(self.poses[rows], step[:, :3]),
             self.extra[rows] + step[:, 3:],
-            0.5 * (covariances + np.swapaxes(covariances, -1, -2)),
+            0.5 * (covariances + covariances.swapaxes(-1, -2)),
             log_weights,
             rows,
             seen.ids,

@@ -78,12 +78,12 @@ def _compared(
     tangent = se2.local(sides.of_copy(copy, bank.poses[one]), bank.poses[other])
     step = np.concatenate([tangent, offset[:, None]], axis=1)
     covariances = bank.covariances[:, _COMPARED[:, None], _COMPARED]
-    log_det = np.linalg.slogdet(covariances)[1]
     first, second = covariances[one], covariances[other]
     a = share[:, None, None]
     both = (1.0 - a) * first + a * second + a * (1.0 - a) * step[:, :, None] * step[:, None, :]
-    loss = 0.5 * (np.linalg.slogdet(both)[1] - (1.0 - share) * log_det[one] - share * log_det[other])
-    apart2 = np.sum(step * np.linalg.solve(first + second, step[:, :, None])[:, :, 0], axis=1)
+    log_det, log_det_both = np.split(np.linalg.slogdet(np.concatenate([covariances, both]))[1], [len(bank)])
+    loss = 0.5 * (log_det_both - (1.0 - share) * log_det[one] - share * log_det[other])
+    apart2 = np.einsum("ni,ni->n", step, np.linalg.solve(first + second, step[:, :, None])[:, :, 0])
     if len(sides) == 1:
         return loss, apart2, np.ones(len(one), dtype=np.bool_)
     by_side = np.exp(bank.log_weights - totals[:, None])
@@ -136,5 +136,5 @@ def _turned(covariances: FloatArray, by: FloatArray) -> FloatArray:
     """With the pose's part of covariances (n, 10, 10) in the tangent that `by` (n, 3, 3) leads to."""
     out = covariances.copy()
     out[:, :3] = by @ out[:, :3]
-    out[:, :, :3] = out[:, :, :3] @ np.swapaxes(by, -1, -2)
-    return np.asarray(0.5 * (out + np.swapaxes(out, -1, -2)))
+    out[:, :, :3] = out[:, :, :3] @ by.swapaxes(-1, -2)
+    return np.asarray(0.5 * (out + out.swapaxes(-1, -2)))
