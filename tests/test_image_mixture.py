@@ -121,14 +121,20 @@ def test_twins_are_as_likely_anywhere() -> None:
         np.testing.assert_allclose(here, there, rtol=1e-9, atol=1e-6)
 
 
-@pytest.mark.parametrize(("posts", "lines"), [(True, True), (False, True), (True, False)])
+# lines alone have tests of their own, in test_line_solutions
+seen = pytest.mark.parametrize(
+    ("posts", "lines"), [(True, True), (True, False), pytest.param(False, True, marks=pytest.mark.slow)]
+)
+
+
+@seen
 def test_the_true_pose_is_among_the_solutions(posts: bool, lines: bool) -> None:
     found = [misfits(mixture, pose).min() < CHI2_999 for pose, mixture in views(posts, lines)]
     assert len(found) > 30
     assert np.mean(found) > 0.98  # of 250, one in a thousand by noise, and a few where lines are left out
 
 
-@pytest.mark.parametrize(("posts", "lines"), [(True, True), (False, True), (True, False)])
+@seen
 def test_the_likeliest_solution_knows_how_right_it_is(posts: bool, lines: bool) -> None:
     """NEES of the top solution or its twin, where the image leaves no doubt."""
     errors = [
@@ -139,7 +145,7 @@ def test_the_likeliest_solution_knows_how_right_it_is(posts: bool, lines: bool) 
     assert np.mean(errors) / 3.0 == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / (3.0 * len(errors))) + 0.1)
 
 
-@pytest.mark.parametrize(("posts", "lines"), [(True, True), (False, True), (True, False)])
+@seen
 def test_weights_are_as_often_right_as_they_say(posts: bool, lines: bool) -> None:
     """Expected calibration error of the share of the solutions that agree with the likeliest, twins taken together."""
     claimed, right = [], []

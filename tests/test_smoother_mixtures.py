@@ -179,7 +179,7 @@ def test_a_right_start_is_one_more_sight() -> None:
     assert errors(smoother.trajectory(), truth).max() < 0.3
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_a_quarter_of_wrong_sights_is_left_out_and_costs_little(seed: int) -> None:
     clean, truth = driven(seed, every=2, steps=300)
     dirty, same = driven(seed, every=2, steps=300, share_wrong=0.25)
