@@ -63,8 +63,8 @@ def ambiguity(
     stamp_ns: int, bank: Bank, sides: Sides, first: tuple[int, int], tracks: IntArray, lost: float
 ) -> Ambiguity:
     """first: row and copy of the estimate."""
-    weights = np.exp(bank.log_weights)
-    weights *= (1.0 - lost) / weights.sum()
+    weights = np.exp(bank.log_weights - bank.log_weights.max())  # a robot that is surely lost leaves nothing else
+    weights /= weights.sum()
     pose = sides.of_one(first[1], bank.poses[first[0]])
     ranked = weights.copy()
     ranked[first] = np.inf

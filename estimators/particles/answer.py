@@ -105,7 +105,8 @@ def hypotheses(
         pose, covariance = carry(poses[cluster, copy], of.covariances[cluster, :3, :3] + _FLOOR)
         track = int(tracks.numbers[cluster]) * len(copies) + int(copy)
         out.append(Hypothesis(weight, pose, covariance, track))
-    left = (1.0 - lost) / sum(one.weight for one in out)
+    known = sum(one.weight for one in out)
+    left = (1.0 - lost) / known if known > 0.0 else 0.0
     every = tuple(Hypothesis(one.weight * left, one.pose, one.covariance, one.track) for one in out)
     return Found(every, mirrored)
 
