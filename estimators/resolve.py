@@ -17,9 +17,10 @@ from estimators.copies import Moved
 from estimators.joint import Settled, log_evidence, settle
 from estimators.mixture.lost import Lost
 from estimators.modes import ModeSequence
+from estimators.motion import STANDSTILL
 from estimators.resolution import Resolution
-from estimators.seeds import on_copies, seeds, whole_poses
-from estimators.stretches import Story, stories
+from estimators.seeds import on_copies, seeds, surest, whole_poses
+from estimators.stretches import NEAR, Story, stories
 from estimators.tracks import Seed, Tracks, follow
 from fieldloc import pose as se2
 from fieldloc.pose import FloatArray
@@ -29,9 +30,15 @@ _MAX_PLACES = 8
 _MAX_BREAKS = 4
 _MAX_CANDIDATES = 5
 _UNLIKELY = 50.0  # stories so much (log) less likely than the best are not solved; tracks can be off by half of that
+_UNLIKELY_EACH = 0.25  # more of it for each mixture, where a story needs fewer breaks than any that is solved
 _ALIKE = 0.02  # a log's stories that differ in fewer of their choices, and in no break, are one when solved
 _EXACTLY = 1e-3  # m, rad: places that are each other's copies, on each other's copies
 _MAX_WAYS = 20
+_SURE = 0.5  # probability of a solution, of its mixture alone, from which it is a place to follow
+_ROUNDS = 3
+_PER_ROUND = 4
+_PASSED = 25.0  # squared Mahalanobis distance
+_SURELY = np.log(100.0)  # what a break must be likelier by than its rate: evidence at solutions is off by some of that
 _TOLD_WRONG = np.log(0.01)  # that the robot does not start where it was told
 _NO_KERNEL = 1e6  # scale, in sigmas, of a robust kernel that does nothing
 _SPREAD = np.sqrt(3.0) * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
@@ -51,8 +58,10 @@ def resolve(
     first = sequences[0].copy if sequences else 0  # of copies that nothing tells apart, the one reported all along
     copies = np.concatenate([np.zeros((1, 3)), region.symmetries])
     copies = copies[np.argsort(np.arange(len(copies)) != first, kind="stable")]
-    tracks, begun = _followed(recorded, places, copies, config)
     anywhere = Lost.within(region, 0.0).anywhere
+    tracks, begun = _followed(recorded, places, copies, config)
+    tracks, begun = _with_surest(recorded, tracks, begun, copies, anywhere.log_volume, config)
+    copy_of = np.array([seed.copy for seed in begun])
     log_start = np.array(
         [
             _log_start(region, anywhere, se2.compose(seed.copy, pose[0]), covariance)
@@ -62,10 +71,10 @@ def resolve(
     log_kidnap = float(np.log(config.mixture.kidnaps_per_min / 60.0)) - anywhere.log_volume
     ways = [
         story
-        for story in stories(recorded, tracks, log_start, log_kidnap, _MAX_BREAKS)
+        for story in stories(recorded, tracks, copy_of, log_start, log_kidnap, _MAX_BREAKS)
         if recorded.anchored(story.choices, story.breaks)
     ]
-    ways = _distinct(ways, np.array([seed.copy for seed in begun]), len(copies))
+    ways = _distinct(ways, copy_of, len(copies))
     if not ways:
         return None
     plain = replace(config, graph=replace(config.graph, cauchy=_NO_KERNEL))
@@ -75,12 +84,18 @@ def resolve(
         one = settle(log, story, plain)
         begins = _log_start(region, anywhere, one.solution.poses[0], one.solution.covariances[0])
         settled.append(one)
-        evidence.append(log_evidence(log, one, plain, log_kidnap) + begins)
+        evidence.append(log_evidence(log, one, plain, log_kidnap - _SURELY) + begins)
     best = int(np.argmax(evidence)) if evidence else 0
     log, story = logs[best]
     if settled:
         near = settled[best]
-        story = replace(story, choices=near.choices, margins=near.margins, poses=near.solution.poses)
+        story = replace(
+            story,
+            choices=near.choices,
+            margins=near.margins,
+            poses=near.solution.poses,
+            breaks=tuple(node for node in near.breaks if _carried(log, near, node)),
+        )
         answer = settle(log, story, config, near.solution)
     else:
         answer = settle(log, story, config)
@@ -94,7 +109,7 @@ def resolve(
         tuple(settled[i] for i in order),
         log_evidences,
         np.exp(log_evidences - np.logaddexp.reduce(log_evidences)),
-        *_copies(recorded, ways[best], tracks, log_start, copies),
+        *_copies(recorded, replace(ways[best], breaks=story.breaks), tracks, log_start, copies),
     )
 
 
@@ -107,14 +122,34 @@ def _followed(
         return follow(recorded, everywhere, config), everywhere
     once = follow(recorded, places, config)
     each = np.repeat(np.arange(len(places)), len(copies))
-    columns = (
-        once.log_evidence[each],
-        once.choices[each],
-        once.margins[each],
-        once.poses[each],
-        once.start_covariances[each],
-    )
-    return Tracks(*columns), everywhere
+    return once[each], everywhere
+
+
+def _with_surest(
+    recorded: Recorded,
+    tracks: Tracks,
+    begun: tuple[Seed, ...],
+    copies: FloatArray,
+    log_area: float,
+    config: Config,
+) -> tuple[Tracks, tuple[Seed, ...]]:
+    """More tracks from mixtures that tell the place by themselves, and where none of the tracks is at the time."""
+    sure = [seed for share, seed in surest(recorded, log_area) if share * len(copies) > _SURE]
+    for _ in range(_ROUNDS):
+        sure = [seed for seed in sure if not _led_to(seed, tracks, copies)]
+        if not sure:
+            break
+        more, their = _followed(recorded, tuple(sure[:_PER_ROUND]), copies, config)
+        tracks, begun, sure = tracks.beside(more), begun + their, sure[_PER_ROUND:]
+    return tracks, begun
+
+
+def _led_to(seed: Seed, tracks: Tracks, copies: FloatArray) -> bool:
+    """Whether a track passes the seed's place, on some copy, as well as both are known."""
+    apart = se2.local(se2.compose(copies[:, None], tracks.poses[:, seed.node]), seed.pose)
+    spread = tracks.covariances[:, seed.at] + seed.covariance
+    distance = np.sum(apart * np.linalg.solve(spread, apart[..., None])[..., 0], axis=-1)
+    return bool((distance < _PASSED).any())
 
 
 def _log_start(region: Region, anywhere: Region, pose: FloatArray, covariance: FloatArray) -> float:
@@ -131,8 +166,12 @@ def _distinct(ways: list[Story], copy_of: FloatArray, copies: int) -> list[Story
     """
     out: list[Story] = []
     for story in ways[:_MAX_WAYS]:
-        if story.log_worth < ways[0].log_worth - _UNLIKELY or len(out) >= _MAX_CANDIDATES:
-            break
+        simpler = not out or len(story.breaks) < min(len(other.breaks) for other in out)
+        unlikely = _UNLIKELY + (_UNLIKELY_EACH * len(story.choices) if simpler else 0.0)
+        if any(len(story.breaks) > len(other.breaks) for other in out):
+            continue  # breaks that do not even pay for themselves
+        if story.log_worth < ways[0].log_worth - unlikely or (len(out) >= _MAX_CANDIDATES and not simpler):
+            continue
         poses = se2.compose(copy_of[story.tracks], story.poses)
         for other in out:
             differing = int(np.count_nonzero(story.choices != other.choices))
@@ -147,6 +186,18 @@ def _distinct(ways: list[Story], copy_of: FloatArray, copies: int) -> list[Story
         else:
             out.append(story)
     return out
+
+
+def _carried(recorded: Recorded, settled: Settled, node: int) -> bool:
+    """Whether the robot was put down farther away than odometry slips and than sights err alike."""
+    before, after = recorded.between(settled.choices, node)
+    moved = STANDSTILL
+    for motion in recorded.motions[before:after]:
+        moved = moved.then(motion)
+    moved = moved.calibrated(np.array(settled.solution.calibration))
+    poses = settled.solution.poses
+    apart = se2.local(se2.compose(poses[before], moved.before_from_after), poses[after])
+    return bool((np.abs(apart) > NEAR).any())
 
 
 def _on_field(recorded: Recorded, story: Story, begun: tuple[Seed, ...]) -> tuple[Recorded, Story]:
@@ -176,13 +227,17 @@ def _copies(
 ) -> tuple[FloatArray, FloatArray]:
     """Of each stretch, the story's copy first: (s, k) probabilities and (s, k, 3) the ways there from the story's."""
     nodes = np.array([node for node, _ in recorded.mixtures])
-    probabilities, moves = [], []
+    place, copy = np.divmod(story.tracks, len(copies))
+    # there[g, c]: the copy that symmetry g takes copy c to; a track of the same place is on it
+    moved = se2.compose(copies[:, None], copies)
+    there = np.abs(se2.local(moved[:, :, None], copies)).sum(axis=-1).argmin(axis=-1)
+    order = np.argsort(np.abs(copies).sum(axis=1), kind="stable")
+    probabilities = []
     for begin, end in pairwise([0, *story.breaks, len(recorded.stamps_ns)]):
-        place, copy = divmod(int(story.tracks[begin]), len(copies))
-        rows = np.arange(place * len(copies), (place + 1) * len(copies))
-        within = (nodes >= begin) & (nodes < end)
-        worth = tracks.log_evidence[rows][:, within].sum(axis=1) + (log_start[rows] if begin == 0 else 0.0)
-        order = np.argsort(np.arange(len(copies)) != copy, kind="stable")
+        within = np.flatnonzero((nodes >= begin) & (nodes < end))
+        rows = place[nodes[within]] * len(copies) + there[:, copy[nodes[within]]]
+        worth = tracks.log_evidence[rows, within].sum(axis=1)
+        if begin == 0:
+            worth += log_start[place[0] * len(copies) + there[:, copy[0]]]
         probabilities.append(np.exp(worth - np.logaddexp.reduce(worth))[order])
-        moves.append(se2.compose(copies[order], se2.inverse(copies[copy])))
-    return np.array(probabilities), np.array(moves)
+    return np.array(probabilities), np.tile(copies[order], (len(probabilities), 1, 1))

@@ -7,7 +7,7 @@ Poses are those of symmetric mixtures. What tells sides apart is asked at the tr
 steps and covariances, being in the robot frame, are the same for both.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -52,15 +52,24 @@ class Tracks:
 
     log_evidence: (k, t) of each mixture in the light of what lies between it and the seed, all of its solutions and the
     outlier together. choices: (k, t) solutions taken, -1 for none; margins: by how much (log)
-    each was better than the next. poses: (k, n, 3). start_covariances: (k, 3, 3) of
-    the poses at the first node, robot frame.
+    each was better than the next. poses: (k, n, 3). covariances: (k, t, 3, 3), robot frame, of the poses once each
+    mixture was seen; start_covariances: (k, 3, 3) of those at the first node.
     """
 
     log_evidence: FloatArray
     choices: IntArray
     margins: FloatArray
     poses: FloatArray
+    covariances: FloatArray
     start_covariances: FloatArray
+
+    def __getitem__(self, rows: IntArray) -> "Tracks":
+        return Tracks(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    def beside(self, others: "Tracks") -> "Tracks":
+        """These tracks, then the others."""
+        columns = [column.name for column in fields(self)]
+        return Tracks(*(np.concatenate([getattr(self, name), getattr(others, name)]) for name in columns))
 
 
 def follow(recorded: Recorded, seeds: tuple[Seed, ...], config: Config) -> Tracks:
@@ -69,7 +78,14 @@ def follow(recorded: Recorded, seeds: tuple[Seed, ...], config: Config) -> Track
     sweep.run(range(min(seed.node for seed in seeds), nodes), forwards=True)
     sweep.begin_again()
     sweep.run(range(sweep.last_begin, -1, -1), forwards=False)
-    return Tracks(sweep.log_evidence, sweep.choices, sweep.margins, sweep.poses, sweep.covariance[:, :3, :3])
+    return Tracks(
+        sweep.log_evidence,
+        sweep.choices,
+        sweep.margins,
+        sweep.poses,
+        sweep.covariances,
+        sweep.covariance[:, :3, :3],
+    )
 
 
 class _Sweep:
@@ -92,6 +108,7 @@ class _Sweep:
         self.margins = np.zeros((tracks, mixtures))
         self.choices = np.full((tracks, mixtures), -1, dtype=np.intp)
         self.poses = np.zeros((tracks, nodes, 3))
+        self.covariances = np.tile(np.eye(3), (tracks, mixtures, 1, 1))
         self._pose = np.zeros((tracks, 3))
         self._rest = np.zeros((tracks, _STATES - 3))  # offset and calibration
         self._alive = np.zeros(tracks, dtype=bool)
@@ -148,7 +165,7 @@ class _Sweep:
             self._pose[track], self.covariance[track, :3, :3] = seed.pose, seed.covariance
         else:
             self._pose[track], self.covariance[track, :3, :3] = self.poses[track, node], _ROUGHLY
-        self.log_evidence[track, seed.at] = seed.log_weight
+        self.log_evidence[track, seed.at], self.covariances[track, seed.at] = seed.log_weight, seed.covariance
         self.choices[track, seed.at] = seed.choice
 
     def _move(self, motion: Increment, elapsed_s: float, forwards: bool) -> None:
@@ -194,19 +211,22 @@ class _Sweep:
         self.log_evidence[tracks[new], index] = log_evidence[new]
         self.choices[tracks[new], index] = np.where(rows >= 0, near.ids[rows] if len(near.ids) else -1, -1)[new]
         hit = np.flatnonzero(rows >= 0)
-        if not len(hit):
-            return
-        rows, across, seen = rows[hit], across[hit], seen[hit]
+        if len(hit):
+            self._update(tracks[hit], near, rows[hit], across[hit], seen[hit])
+        self.covariances[tracks[new], index] = self.covariance[tracks[new], :3, :3]
+
+    def _update(self, tracks: IntArray, near: Expansion, rows: IntArray, across: FloatArray, seen: FloatArray) -> None:
+        """rows: of the solutions that the tracks take. across: (h, 10, 3) covariance of states and what is seen."""
+        whole = self.covariance[tracks]
         gain = np.swapaxes(np.linalg.solve(seen, np.swapaxes(across, -1, -2)), -1, -2)
         step = (gain @ near.step[rows][:, :, None])[..., 0]
-        left = whole[hit] - gain @ (seen - near.updated[rows]) @ np.swapaxes(gain, -1, -2)
+        left = whole - gain @ (seen - near.updated[rows]) @ np.swapaxes(gain, -1, -2)
         turn = se2.right_jacobian(step[:, :3])
         left[:, :3] = turn @ left[:, :3]
         left[:, :, :3] = left[:, :, :3] @ np.swapaxes(turn, -1, -2)
-        updated = tracks[hit]
-        self._pose[updated] = se2.retract(self._pose[updated], step[:, :3])
-        self._rest[updated] += step[:, 3:]
-        self.covariance[updated] = 0.5 * (left + np.swapaxes(left, -1, -2))
+        self._pose[tracks] = se2.retract(self._pose[tracks], step[:, :3])
+        self._rest[tracks] += step[:, 3:]
+        self.covariance[tracks] = 0.5 * (left + np.swapaxes(left, -1, -2))
 
 
 def picked(

@@ -21,6 +21,7 @@ from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.measurements import Odometry
 from fieldloc.mixture import IntArray
+from fieldloc.pose import FloatArray
 from fieldloc.regions import Region
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import PoseStack
@@ -151,7 +152,8 @@ def test_the_likeliest_ways_over_tracks_are_those_of_enumeration() -> None:
         3.0 * random.standard_normal((3, 6)),
         np.zeros((3, 6), dtype=np.intp),
         np.zeros((3, 6)),
-        random.standard_normal((3, 6, 3)),
+        np.arange(3)[:, None, None] + np.zeros((3, 6, 3)),  # they never meet
+        np.tile(np.eye(3), (3, 6, 1, 1)),
         np.tile(np.eye(3), (3, 1, 1)),
     )
     log_start, log_kidnap = random.standard_normal(3), -2.5
@@ -160,20 +162,37 @@ def test_the_likeliest_ways_over_tracks_are_those_of_enumeration() -> None:
         changes = int(np.count_nonzero(np.diff(way)))
         value = log_start[way[0]] + tracks.log_evidence[way, np.arange(6)].sum() + changes * log_kidnap
         worth[changes] = max(worth.get(changes, -math.inf), float(value))
-    told = stories(recorded, tracks, log_start, log_kidnap, 3)
+    told = stories(recorded, tracks, np.zeros((3, 3)), log_start, log_kidnap, 3)
     for count in (1, 2, 3):
         best = max(story.log_worth for story in told if len(story.breaks) == count)
         np.testing.assert_allclose(best, worth[count])
     np.testing.assert_allclose(max(story.log_worth for story in told if not story.breaks), worth[0])
 
 
+def two_tracks(evidence: FloatArray, choices: IntArray, apart_m: float) -> Tracks:
+    poses = np.zeros((2, 6, 3))
+    poses[1, :, 0] = apart_m
+    spread = np.tile(0.01 * np.eye(3), (2, 6, 1, 1))
+    return Tracks(evidence, choices, np.zeros((2, 6)), poses, spread, spread[:, 0])
+
+
+def test_a_track_that_meets_another_goes_on_as_it_without_a_break() -> None:
+    recorded = straight(6, 0)
+    evidence = np.array([[4.0, 4.0, 4.0, -9.0, -9.0, -9.0], [-9.0, -9.0, 4.0, 4.0, 4.0, 4.0]])
+    choices = np.array([[0] * 6, [1] * 6])
+    for apart_m, symmetry, breaks in ((0.1, 0.0, 0), (3.0, 0.0, 1), (0.1, 3.0, 1)):
+        copies = np.array([[0.0, 0.0, 0.0], [0.0, symmetry, 0.0]])
+        tracks = two_tracks(evidence, choices, apart_m)
+        best = stories(recorded, tracks, copies, np.zeros(2), -12.0, 3)[0]
+        assert len(best.breaks) == breaks
+        assert best.choices.tolist() in ([0, 0, 0, 1, 1, 1], [0, 0, 1, 1, 1, 1])
+
+
 def test_a_change_is_in_the_middle_between_the_two_places() -> None:
     recorded = straight(6, 0)
     fits = np.array([[0, 0, -1, -1, -1, -1], [-1, -1, -1, -1, 0, 0]])
     evidence = np.where(fits >= 0, 4.0, -9.0)
-    covariances = np.tile(np.eye(3), (2, 1, 1))
-    tracks = Tracks(evidence, fits, np.zeros((2, 6)), np.zeros((2, 6, 3)), covariances)
-    best = stories(recorded, tracks, np.zeros(2), -12.0, 3)[0]
+    best = stories(recorded, two_tracks(evidence, fits, apart_m=3.0), np.zeros((2, 3)), np.zeros(2), -12.0, 3)[0]
     assert best.breaks == (3,)  # seen at 1 s and at 4 s: 2.5 s, so the node after it
     np.testing.assert_array_equal(best.choices, [0, 0, -1, -1, 0, 0])
     assert recorded.between(best.choices, 3) == (1, 4)
