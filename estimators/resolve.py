@@ -20,7 +20,7 @@ from estimators.modes import ModeSequence
 from estimators.motion import STANDSTILL
 from estimators.resolution import Resolution
 from estimators.seeds import on_copies, seeds, surest, whole_poses
-from estimators.stretches import NEAR, Story, stories
+from estimators.stretches import NEAR, Story, put_down_ns, stories
 from estimators.tracks import Seed, Tracks, follow
 from fieldloc import pose as se2
 from fieldloc.pose import FloatArray
@@ -105,7 +105,7 @@ def resolve(
     return Resolution(
         answer.solution,
         answer.choices,
-        tuple(sum(stamps_ns[k] for k in recorded.between(answer.choices, node)) // 2 for node in answer.breaks),
+        tuple(put_down_ns(*(stamps_ns[k] for k in recorded.between(answer.choices, node))) for node in answer.breaks),
         tuple(settled[i] for i in order),
         log_evidences,
         np.exp(log_evidences - np.logaddexp.reduce(log_evidences)),

@@ -3,7 +3,7 @@
 A hidden Markov chain over tracks, solved by Viterbi's recursion, once for each number of times that the robot was
 carried. A change between tracks that have met costs next to nothing: each may know a part of the same way. Any other
 means that the robot was carried, at a price. When it was is known as well as the tracks differ: between the last
-observation that fits the earlier one and the first that fits the later one, it is taken to be in the middle.
+observation that fits the earlier one and the first that fits the later one.
 """
 
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
 _LONGEST_GAP_S = 60.0
+_SEES_AGAIN_NS = 250_000_000
 NEAR = np.array([0.6, 0.6, 0.4])  # m, m, rad: nearer tracks are of one robot; it slipped, or sights erred alike
 _SLIP = 6.0  # log of how unlikely that is; less than being carried by far
 _FLOOR = np.diag([0.05, 0.05, 0.03]) ** 2  # tracks are less alike than they think, as their errors have come to differ
@@ -97,6 +98,14 @@ def stories(
     return sorted(out, key=lambda story: -story.log_worth)
 
 
+def put_down_ns(before_ns: int, after_ns: int) -> int:
+    """When a robot was put elsewhere that was last seen to be in one place and first seen to be in another.
+
+    The middle, but for a gap so long that it will have been carried all the while: who is carried sees nothing.
+    """
+    return max((before_ns + after_ns) // 2, after_ns - _SEES_AGAIN_NS)
+
+
 def _met(tracks: Tracks, poses: FloatArray) -> dict[int, FloatArray]:
     """By mixture, (k, k) logarithm of how well one track goes on as another, for those at which two have met.
 
@@ -147,8 +156,8 @@ def _told(recorded: Recorded, tracks: Tracks, way: IntArray, carried: NDArray[np
             track_at[:] = way[change]
             continue
         last, first = recorded.mixtures[earlier[-1]][0], recorded.mixtures[later[0]][0]
-        middle_ns = 0.5 * (float(stamps_ns[last]) + float(stamps_ns[first]))
-        node = min(int(np.searchsorted(stamps_ns, middle_ns, side="right")), first)
+        when_ns = put_down_ns(int(stamps_ns[last]), int(stamps_ns[first]))
+        node = min(int(np.searchsorted(stamps_ns, when_ns, side="right")), first)
         track_at[node:] = way[change]
         breaks.append(max(node, 1))
     poses = tracks.poses[track_at, np.arange(len(stamps_ns))]

@@ -15,7 +15,7 @@ from estimators.joint import Settled, cavity, log_evidence, settle
 from estimators.modes import ModeSequence
 from estimators.motion import HeldVelocity
 from estimators.resolve import resolve
-from estimators.stretches import Story, stories
+from estimators.stretches import Story, put_down_ns, stories
 from estimators.tracks import Tracks
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
@@ -188,14 +188,16 @@ def test_a_track_that_meets_another_goes_on_as_it_without_a_break() -> None:
         assert best.choices.tolist() in ([0, 0, 0, 1, 1, 1], [0, 0, 1, 1, 1, 1])
 
 
-def test_a_change_is_in_the_middle_between_the_two_places() -> None:
+def test_after_a_long_gap_the_robot_was_put_down_just_before_it_saw_again() -> None:
     recorded = straight(6, 0)
     fits = np.array([[0, 0, -1, -1, -1, -1], [-1, -1, -1, -1, 0, 0]])
     evidence = np.where(fits >= 0, 4.0, -9.0)
     best = stories(recorded, two_tracks(evidence, fits, apart_m=3.0), np.zeros((2, 3)), np.zeros(2), -12.0, 3)[0]
-    assert best.breaks == (3,)  # seen at 1 s and at 4 s: 2.5 s, so the node after it
+    assert best.breaks == (4,)  # seen at 1 s and at 4 s
+    assert put_down_ns(ns(1), ns(4)) == ns(3.75)
+    assert put_down_ns(ns(1), ns(1.4)) == ns(1.2)
     np.testing.assert_array_equal(best.choices, [0, 0, -1, -1, 0, 0])
-    assert recorded.between(best.choices, 3) == (1, 4)
+    assert recorded.between(best.choices, 4) == (1, 4)
     assert recorded.anchored(best.choices, best.breaks)
     assert not recorded.anchored(best.choices, (2, 3))
 
