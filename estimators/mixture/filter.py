@@ -37,7 +37,6 @@ _DOUBT = np.log(0.1)  # of all being wrong: an observation is asked for its own 
 _LOST = np.log(0.01)
 _ASK_EVERY_NS = 1_000_000_000
 _SAID_S = 2.0  # what is seen again after this has partly become news
-_COMPASS_NS = 300_000_000  # within it the robot has hardly turned
 _CROWD = 4  # times as many as may stay are compared for being alike
 
 
@@ -53,7 +52,7 @@ class MixtureFilter:
         self._motion = HeldVelocity(config.motion)
         self._restart = Restart(config.robust.restart_after)
         self._watch = Watch()
-        self._compass: HeadingMixture | None = None
+        self._unheard = False  # whether the compass has not spoken since the robot was found
         self._sides = Sides.of(np.zeros((0, 3)) if symmetries is None else symmetries)
         self._bank = Bank.empty(len(self._sides))
         self._lost = Lost.within(UNKNOWN, 0.0)
@@ -80,7 +79,7 @@ class MixtureFilter:
         self._lineage.begin(self._bank)
         self._restart.forget()
         self._watch.forget(decided=False)
-        self._last = self._asked_ns = self._compass = None
+        self._last = self._asked_ns = None
 
     def predict(self, odometry: Odometry) -> None:
         self.advance(odometry.stamp_ns)
@@ -122,10 +121,10 @@ class MixtureFilter:
     def observe(self, mixture: MixtureFactor) -> None:
         self.advance(mixture.stamp_ns)
         self._settle()
+        if self._unheard and isinstance(mixture, HeadingMixture):
+            mixture, self._unheard = replace(mixture, wider=1.0), False  # what it said before was not said to these
         children = Children.of(self._bank, self._sides, mixture)
         children = children.tempered(self._news(mixture))
-        if isinstance(mixture, HeadingMixture):
-            self._compass = replace(mixture, wider=1.0)
         solutions = mixture.solutions() if self._asks(children, mixture) else None
         missed = self._lost.missed(mixture, solutions)
         births = self._born(solutions or PoseSolutions.none(), mixture.symmetric)
@@ -232,7 +231,6 @@ class MixtureFilter:
         if not count:
             return Bank.empty(len(self._sides))
         log_weights, found = self._lost.found(solutions, self._sides.copies, symmetric)
-        log_weights = log_weights + self._turned(solutions)
         extra, covariances = np.zeros((count, EXTRA)), np.zeros((count, SIZE, SIZE))
         extra[:, :CALIBRATION] = self._extra[:CALIBRATION]
         covariances[:, :3, :3] = solutions.covariances
@@ -240,18 +238,6 @@ class MixtureFilter:
         covariances[:, OFFSET, OFFSET] = self._config.compass.offset_sigma_rad**2
         none = np.full(count, -1)
         return Bank(solutions.poses, extra, covariances, log_weights, none, solutions.ids, found.astype(np.intp))
-
-    def _turned(self, solutions: PoseSolutions) -> FloatArray:
-        """(k, c) by how much likelier than any the headings of the solutions on all copies are to whoever was not found
-        yet: to it the last compass reading still is news."""
-        count = len(solutions.ids)
-        if self._compass is None or self._now_ns - self._compass.stamp_ns > _COMPASS_NS:
-            return np.zeros((count, len(self._sides)))
-        at = se2.compose(self._sides.copies, solutions.poses[:, None]).reshape(-1, 3)
-        covariances = np.repeat(solutions.covariances, len(self._sides), axis=0)
-        covariances = covariances + np.diag([0.0, 0.0, self._config.compass.offset_sigma_rad**2])
-        evidence = self._compass.expand(at, covariances).evidence
-        return np.asarray(evidence + np.log(2.0 * np.pi)).reshape(count, -1)
 
     def _take(self, children: Children, births: Bank, missed: FloatArray, by_compass: bool, choice: bool) -> None:
         tracked = np.logaddexp(children.total, total(births.log_weights))
@@ -293,6 +279,7 @@ class MixtureFilter:
             self._watch.recovered(self._now_ns)
         if started or bank.found[row]:
             bank.found[:] = 0
+            self._unheard = True
         weights, lost = np.exp(bank.log_weights), float(np.exp(self._lost.total))
         if len(bank) == 1:  # its copies are places of their own
             other = float(weights.sum() - weights[0, copy]) + lost * (1.0 - 1.0 / len(self._sides))
