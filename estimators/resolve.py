@@ -18,7 +18,7 @@ from estimators.joint import Settled, log_evidence, settle
 from estimators.mixture.lost import Lost
 from estimators.modes import ModeSequence
 from estimators.motion import STANDSTILL
-from estimators.resolution import Resolution
+from estimators.resolved import Resolution
 from estimators.seeds import on_copies, seeds, surest, whole_poses
 from estimators.stretches import NEAR, Story, put_down_ns, stories
 from estimators.tracks import Seed, Tracks, follow

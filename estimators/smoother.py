@@ -14,8 +14,8 @@ from estimators.mixture.filter import MixtureFilter
 from estimators.mixture.lost import UNKNOWN
 from estimators.modes import ModeSequence
 from estimators.motion import HeldVelocity
-from estimators.resolution import Resolution
 from estimators.resolve import resolve
+from estimators.resolved import Resolution
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.measurements import Odometry

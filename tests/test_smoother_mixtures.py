@@ -9,8 +9,8 @@ from walks import ns, velocities, walk
 from estimators.base import Ambiguous, Estimate, MixtureEstimator
 from estimators.chain import Recorded
 from estimators.config import Config
+from estimators.graph.multi_start import multi_start
 from estimators.motion import HeldVelocity
-from estimators.multi_start import multi_start
 from estimators.smoother import Smoother
 from fieldloc import pose as se2
 from fieldloc.heading_mixture import HeadingMixture

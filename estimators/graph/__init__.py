@@ -16,8 +16,8 @@ import gtsam
 import numpy as np
 
 from estimators.chain import Chain
-from estimators.compass_offsets import CompassOffsets
 from estimators.config import Config
+from estimators.graph.compass_offsets import CompassOffsets
 from estimators.motion import OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
