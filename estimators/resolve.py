@@ -37,6 +37,7 @@ _MAX_WAYS = 20
 _SURE = 0.5  # probability of a solution, of its mixture alone, from which it is a place to follow
 _ROUNDS = 3
 _PER_ROUND = 4
+_DRIFT_SIGMAS = 3.0
 _PASSED = 25.0  # squared Mahalanobis distance
 _SURELY = np.log(100.0)  # what a break must be likelier by than its rate: evidence at solutions is off by some of that
 _TOLD_WRONG = np.log(0.01)  # that the robot does not start where it was told
@@ -85,6 +86,9 @@ def resolve(
         begins = _log_start(region, anywhere, one.solution.poses[0], one.solution.covariances[0])
         settled.append(one)
         evidence.append(log_evidence(log, one, plain, log_kidnap - _SURELY) + begins)
+    if stayed := [i for i, one in enumerate(settled) if not _put_back(logs[i][0], one)]:
+        ways, logs = [ways[i] for i in stayed], [logs[i] for i in stayed]
+        settled, evidence = [settled[i] for i in stayed], [evidence[i] for i in stayed]
     best = int(np.argmax(evidence)) if evidence else 0
     log, story = logs[best]
     if settled:
@@ -190,14 +194,32 @@ def _distinct(ways: list[Story], copy_of: FloatArray, copies: int) -> list[Story
 
 def _carried(recorded: Recorded, settled: Settled, node: int) -> bool:
     """Whether the robot was put down farther away than odometry slips and than sights err alike."""
-    before, after = recorded.between(settled.choices, node)
+    apart, _ = _jump(recorded, settled, *recorded.between(settled.choices, node))
+    return bool((np.abs(apart) > NEAR).any())
+
+
+def _put_back(recorded: Recorded, settled: Settled) -> bool:
+    """Whether between two breaks the robot came back to where it would have walked to anyway.
+
+    Nobody carries a robot so: in between, sights erred alike (a label that was misread again and again, a look-alike).
+    """
+    for away, back in pairwise(settled.breaks):
+        before, _ = recorded.between(settled.choices, away)
+        _, after = recorded.between(settled.choices, back)
+        apart, covariance = _jump(recorded, settled, before, after)
+        if (np.abs(apart) < NEAR + _DRIFT_SIGMAS * np.sqrt(np.diagonal(covariance))).all():
+            return True
+    return False
+
+
+def _jump(recorded: Recorded, settled: Settled, before: int, after: int) -> tuple[FloatArray, FloatArray]:
+    """How far (3,) the pose at one node is from where odometry leads from another, and the odometry's covariance."""
     moved = STANDSTILL
     for motion in recorded.motions[before:after]:
         moved = moved.then(motion)
     moved = moved.calibrated(np.array(settled.solution.calibration))
     poses = settled.solution.poses
-    apart = se2.local(se2.compose(poses[before], moved.before_from_after), poses[after])
-    return bool((np.abs(apart) > NEAR).any())
+    return se2.local(se2.compose(poses[before], moved.before_from_after), poses[after]), moved.covariance
 
 
 def _on_field(recorded: Recorded, story: Story, begun: tuple[Seed, ...]) -> tuple[Recorded, Story]:
