@@ -15,7 +15,7 @@ def amcl_style(config: Config) -> ClassicMcl:
     nav2_params.yaml): 500 to 2000 particles, pf_err 0.05, pf_z 0.99, alpha1..4 0.2, z_hit 0.5, z_rand 0.5, updates
     after 0.25 m or 0.2 rad, resample_interval 1, histogram bins of 0.5 m and 10 degrees.
 
-    Recovery is off there (both alphas 0); here it has the values that its documentation calls good, 0.001 and 0.1, as
+    Recovery is off there (both alphas 0); here it has 0.001 and 0.1, which others set for it (Beluga's defaults), as
     without it a kidnapped robot is never found. pf_z goes into Fox's formula as it does there: as the quantile itself.
     """
     return ClassicMcl(
