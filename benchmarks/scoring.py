@@ -25,7 +25,7 @@ class Moment:
 
     since_s: since the evidence before it. found: its first hypothesis or one of that one's copies is where the robot
     is, by RIGHT_*; right: itself is. away_m, away_rad: of the nearest copy. other_side: one of the copies is nearer.
-    nees: of the estimate, nees_folded: of its best copy. spread_m: its own standard deviation of the position.
+    nees: of the estimate, nees_folded: of its best copy.
     told: probabilities of the places that the hypotheses are at, true: whether the robot was at each.
     """
 
@@ -40,7 +40,6 @@ class Moment:
     lost: float
     nees: float
     nees_folded: float
-    spread_m: float
     told: FloatArray
     true: NDArray[np.bool_]
 
@@ -138,7 +137,6 @@ def _moment(game: PlayedGame, stamp_ns: int, said: Ambiguity, truth: FloatArray)
         said.lost,
         float(nees[0]),
         float(nees.min()),
-        float(np.sqrt(np.trace(best.covariance[:2, :2]))),
         *_places(said.hypotheses, truth),
     )
 

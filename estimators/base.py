@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
+from fieldloc import pose as se2
 from fieldloc.factors import Factor
 from fieldloc.measurements import Odometry
 from fieldloc.mixture import MixtureFactor
@@ -18,6 +19,11 @@ class Estimate:
     stamp_ns: int
     pose: FloatArray
     covariance: FloatArray
+
+    @property
+    def robot_covariance(self) -> FloatArray:
+        """(3, 3) in the robot frame of the pose."""
+        return se2.rotate_covariance(self.covariance, -self.pose[2])
 
 
 @dataclass(frozen=True, slots=True)

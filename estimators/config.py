@@ -43,6 +43,10 @@ class Robust:
     nis_per_dof: float = 4.0
     restart_after: int = 4
 
+    def trust(self, nis: float, size: int) -> float:
+        """Share of a factor of so many numbers that is used: 1, or less the more it disagrees."""
+        return min(1.0, self.nis_per_dof * size / max(nis, 1e-300))
+
 
 @dataclass(frozen=True, slots=True)
 class Particles:

@@ -19,7 +19,7 @@ class DeadReckoning:
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
-        self._belief = estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2])
+        self._belief = estimate.pose, estimate.robot_covariance
 
     def predict(self, odometry: Odometry) -> None:
         self.advance(odometry.stamp_ns)

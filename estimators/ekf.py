@@ -45,7 +45,7 @@ class Ekf:
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
-        self._believe(estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
+        self._believe(estimate.pose, estimate.robot_covariance)
 
     def predict(self, odometry: Odometry) -> None:
         self.advance(odometry.stamp_ns)
@@ -107,7 +107,7 @@ class Ekf:
         little it says for repeating itself is not to hide it."""
         if isinstance(factor, HeadingFactor) and factor.wider > 1.0:
             nis = float(squared_mahalanobis(residual, expected - factor.covariance * (1.0 - 1.0 / factor.wider)))
-        return min(1.0, self._config.robust.nis_per_dof * len(residual) / max(nis, 1e-300))
+        return self._config.robust.trust(nis, len(residual))
 
     def _believe(self, pose: FloatArray, robot_covariance: FloatArray) -> None:
         """Forget the pose, not what is known of odometry and compass."""

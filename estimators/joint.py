@@ -11,6 +11,7 @@ from estimators.graph import MOTION_FLOOR, Solution, solve
 from estimators.graph.compass_offsets import at_nodes, knot_s
 from estimators.stretches import Story
 from fieldloc import pose as se2
+from fieldloc.covariance import log_peaks
 from fieldloc.factors import Factor
 from fieldloc.mixture import IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
@@ -180,7 +181,7 @@ def log_evidence(recorded: Recorded, settled: Settled, config: Config, log_kidna
         covariances = (np.array([m.covariance for m in motions]) + MOTION_FLOOR)[kept]
         error = se2.local(se2.retract(moved, by_calibration), se2.between(poses[:-1], poses[1:]))[kept]
         total -= 0.5 * float(np.sum(error * np.linalg.solve(covariances, error[..., None])[..., 0]))
-        total -= 0.5 * float(np.sum(np.linalg.slogdet(2 * np.pi * covariances)[1]))
+        total += float(np.sum(log_peaks(covariances)))
     sigmas = config.calibration.sigmas()
     free = sigmas > 0.0
     total += _log_normal(np.array(solution.calibration)[free], sigmas[free])

@@ -21,8 +21,7 @@ from fieldloc.factors import Factor, PoseFactor
 from fieldloc.measurements import Odometry
 from fieldloc.mixture import MixtureFactor
 from fieldloc.regions import Region
-from fieldloc.solution_mixture import SolutionMixture
-from fieldloc.stacks import PoseStack
+from fieldloc.told_mixture import told_mixture
 
 _READINGS = 16
 _TOLD_WRONG = 0.05
@@ -54,7 +53,7 @@ class Smoother:
         self._filter.start(estimate)
         at_ns = self._forget(estimate.stamp_ns)
         self._told = replace(estimate, stamp_ns=at_ns)
-        told = PoseFactor(at_ns, estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
+        told = PoseFactor(at_ns, estimate.pose, estimate.robot_covariance)
         self._recorder.add(told, at_ns, estimate.pose)
 
     def start_in(self, region: Region, stamp_ns: int) -> None:
@@ -160,16 +159,8 @@ class Smoother:
         sequences = tuple(_later(one, len(recorded.mixtures) - len(one.choices), -1) for one in sequences)
         if self._told is None:
             return recorded, sequences
-        pose = self._told.pose[None]
-        stack = PoseStack(pose, se2.rotate_covariance(self._told.covariance[None], -pose[:, 2]))
-        log_volume = self._region.log_volume
-        told = SolutionMixture(
-            self._told.stamp_ns,
-            ((stack, np.log1p([-_TOLD_WRONG])),),
-            float(np.log(_TOLD_WRONG)) - log_volume,
-            symmetric=not len(self._region.symmetries),
-            area_m2=float(np.exp(log_volume)) / (2 * np.pi),
-        )
+        estimate = self._told
+        told = told_mixture(estimate.stamp_ns, estimate.pose, estimate.covariance, _TOLD_WRONG, self._region)
         mixtures = ((recorded.factors[0][0], told), *recorded.mixtures)
         recorded = replace(recorded, factors=recorded.factors[1:], mixtures=mixtures)
         return recorded, tuple(_later(one, 1, 0) for one in sequences)

@@ -36,6 +36,11 @@ def squared_mahalanobis(residual: FloatArray, covariance: FloatArray) -> FloatAr
     return np.asarray(np.sum(residual * weighted, axis=-1))
 
 
+def log_peaks(covariances: FloatArray) -> FloatArray:
+    """Log densities at zero (...) of normal errors (..., m, m)."""
+    return np.asarray(-0.5 * np.linalg.slogdet(2.0 * np.pi * covariances)[1])
+
+
 def central_difference(f: Callable[[FloatArray], FloatArray], x: FloatArray, step: float = 1e-6) -> FloatArray:
     """Numerical Jacobian (m, n) of f: (n,) -> (m,) at x. Angles in f must not wrap within the step."""
     steps = step * np.eye(len(x))

@@ -19,6 +19,7 @@ import numpy as np
 
 from fieldloc import pose as se2
 from fieldloc.camera import Camera
+from fieldloc.covariance import log_peaks
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
 from fieldloc.fixes.line_solutions import log_clutter
@@ -33,7 +34,6 @@ from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import FactorStack, LandmarkStack, LineStack, PoseStack
-from fieldloc.tempering import log_peaks
 from fieldloc.visibility import in_clear_sight
 
 _LOG_NEGLIGIBLE = float(np.log(1e-3))  # against the outlier, where a solution is likeliest

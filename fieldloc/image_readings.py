@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from fieldloc.covariance import log_peaks
 from fieldloc.image_anchors import Anchors, one_turn
 from fieldloc.image_map import ImageMap
 from fieldloc.image_posts import PostsSeen, seen_together
@@ -64,7 +65,7 @@ def read(anchors: Anchors, posts: PostsSeen, field: ImageMap, turn_rad: float, l
 
 def _log_peaks(solved: Solved) -> FloatArray:
     """(k,) log density of each at its own pose."""
-    return np.asarray(solved.log_integrals - 0.5 * np.linalg.slogdet(2.0 * np.pi * solved.covariances)[1])
+    return np.asarray(solved.log_integrals + log_peaks(solved.covariances))
 
 
 def _of_lines(anchors: Anchors, posts: int) -> Solved:

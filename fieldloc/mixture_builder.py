@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from fieldloc import pose as se2
 from fieldloc.camera import Camera
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
@@ -21,9 +20,8 @@ from fieldloc.repeated_mixture import RepeatedMixture
 from fieldloc.repetition import ErrorCorrelation, Repetition, inflation
 from fieldloc.scan_coverage import Misses, Sightings
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
-from fieldloc.solution_mixture import SolutionMixture
-from fieldloc.stacks import PoseStack
 from fieldloc.tempering import tempered
+from fieldloc.told_mixture import told_mixture
 
 _DEFAULT_CORRELATION = ErrorCorrelation()
 _DEFAULT_DETECTION = Detection()
@@ -83,7 +81,8 @@ class MixtureBuilder:
                 wider = self._wider(_COMPASS, stamp_ns, self._correlation.compass_s)
                 return heading_mixture(measurement, wider, self._area_m2)
             case InitialPose():
-                return self._told(measurement)
+                pose, covariance = measurement.pose, measurement.covariance
+                return told_mixture(stamp_ns, pose, covariance, self._detection.nothing_right, anywhere(self._field))
 
     def remember(self, mixture: MixtureFactor, pose: FloatArray | None) -> None:
         """What was seen, by where the robot (3,) is thought to be now: seen again soon, it is little news."""
@@ -128,18 +127,6 @@ class MixtureBuilder:
         if once is None or wider == 1.0:
             return once
         return RepeatedMixture(tempered(once, wider), once, wider, float(np.log(2 * np.pi * self._area_m2)))
-
-    def _told(self, told: InitialPose) -> MixtureFactor:
-        pose = told.pose[None]
-        stack = PoseStack(pose, se2.rotate_covariance(told.covariance[None], -pose[:, 2]))
-        wrong = np.log(self._detection.nothing_right)
-        return SolutionMixture(
-            told.stamp_ns,
-            ((stack, np.log1p([-self._detection.nothing_right])),),
-            float(wrong - np.log(2 * np.pi * self._area_m2)),
-            symmetric=not len(self._field.symmetries),
-            area_m2=self._area_m2,
-        )
 
     def _count_unknown(self, labels: Iterable[str | None]) -> None:
         self._unknown.update(label for label in labels if label is not None and self._field.index_of(label) is None)

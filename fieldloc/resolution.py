@@ -1,16 +1,24 @@
 """One of a mixture's solutions, where what is known already leaves no doubt which: else none."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from fieldloc.association import Belief
 from fieldloc.factors import Factor
 from fieldloc.mixture import IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
 from fieldloc.repeated_mixture import RepeatedMixture
 
 _SURE = 0.99
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """Where the robot is thought to be: pose (3,), covariance (3, 3) of it in the robot frame."""
+
+    pose: FloatArray
+    covariance: FloatArray
 
 
 def sure(

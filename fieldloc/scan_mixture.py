@@ -16,7 +16,6 @@ from functools import cached_property
 import numpy as np
 
 from fieldloc import pose as se2
-from fieldloc.association import landmark_factors, seen_in_robot
 from fieldloc.detection import Detection
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.field import FieldMap
@@ -27,6 +26,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import expand, likeliest
 from fieldloc.scan_coverage import Misses
+from fieldloc.scan_factors import landmark_factors, seen_in_robot
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
 from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
@@ -121,7 +121,8 @@ class ScanMixture:
             limit = CHI2_LIMITS[min(len(rows) - 2, len(CHI2_LIMITS) - 1)]
             fixes = self._fixes(rows, which, self.scan.covariance[rows])
             if len(fixes) == 1 and fixes[0].chi2 < limit:
-                fixes = self._fixes(rows, which, covariance)
+                if (scale > 1.0).any():
+                    fixes = self._fixes(rows, which, covariance)
                 if len(fixes) == 1 and fixes[0].nonlinearity <= _MAX_NONLINEARITY:
                     return (PoseFactor.from_fix(self.stamp_ns, fixes[0]),)
         return landmark_factors(self.scan, self.field_map, rows, which, covariance)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc import pose as se2
+from fieldloc.covariance import log_peaks
 from fieldloc.factors import Factor
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
@@ -138,7 +139,7 @@ def _quadratic(
 
 def _normal(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Precisions (k, m, m) and log densities at zero (k,)."""
-    return np.asarray(np.linalg.inv(covariances)), np.asarray(-0.5 * np.linalg.slogdet(2 * np.pi * covariances)[1])
+    return np.asarray(np.linalg.inv(covariances)), log_peaks(covariances)
 
 
 def _in_reach(lines: LineStack, poses: FloatArray, covariances: FloatArray) -> NDArray[np.bool_]:

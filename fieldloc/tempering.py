@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fieldloc.covariance import log_peaks
 from fieldloc.pose import FloatArray
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import FactorStack, LandmarkStack, LineStack, PoseStack
@@ -17,11 +18,6 @@ def tempered(mixture: SolutionMixture, wider: float) -> SolutionMixture:
         return mixture
     stacks = tuple((_wider(stack, wider), _powered(stack, weights, wider)) for stack, weights in mixture.stacks)
     return replace(mixture, stacks=stacks, log_outlier=mixture.log_outlier / wider)
-
-
-def log_peaks(covariances: FloatArray) -> FloatArray:
-    """Log densities at zero of normal errors (k, m, m)."""
-    return np.asarray(-0.5 * np.linalg.slogdet(2.0 * np.pi * covariances)[1])
 
 
 def _powered(stack: FactorStack, log_weights: FloatArray, wider: float) -> FloatArray:

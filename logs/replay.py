@@ -11,8 +11,6 @@ import numpy as np
 from estimators.base import Ambiguity, Ambiguous, Estimate, Estimator, Event, MixtureEstimator
 from estimators.config import Config
 from estimators.smoother import Smoother
-from fieldloc import pose as se2
-from fieldloc.association import Belief
 from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.factors import Factor
@@ -21,7 +19,7 @@ from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkS
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
 from fieldloc.regions import Region, anywhere, region
-from fieldloc.resolution import sure
+from fieldloc.resolution import Belief, sure
 from logs.kept import KeptAmbiguities
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
@@ -170,20 +168,17 @@ class Run:
             yield Step(measurement, now, update_s)
 
     def _observe(self, measurement: Observation) -> None:
-        """A measurement whose numbers are beyond all arithmetic is noted as unusable."""
-        estimator, before = self.estimator, self.estimator.estimate()
+        estimator = self.estimator
+        factors: tuple[Factor, ...] = ()
         try:
-            mixture = self._builder.build(measurement)
-            if mixture is None or isinstance(estimator, MixtureEstimator):
-                factors: tuple[Factor, ...] = ()
-            else:
-                factors = sure(mixture, _belief(before), self._region.log_density)
-        except _FAILURES as error:
+            if (mixture := self._builder.build(measurement)) is None:
+                return
+            if not isinstance(estimator, MixtureEstimator):
+                factors = sure(mixture, _belief(estimator.estimate()), self._region.log_density)
+        except _FAILURES as error:  # numbers beyond all arithmetic
             kind = type(measurement).__name__
             at = seconds(measurement.stamp_ns)
             self._unusable.append(f"{kind} at {at} cannot be computed with: {_first_line(error)}")
-            return
-        if mixture is None:
             return
         if isinstance(estimator, MixtureEstimator):
             estimator.observe(mixture)
@@ -269,7 +264,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _belief(now: Estimate | None) -> Belief | None:
-    return None if now is None else Belief(now.pose, se2.rotate_covariance(now.covariance, -now.pose[2]))
+    return None if now is None else Belief(now.pose, now.robot_covariance)
 
 
 def _check(estimate: Estimate) -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fieldloc import pose as se2
-from fieldloc.association import Belief
 from fieldloc.factors import HeadingFactor
 from fieldloc.field import load_field
 from fieldloc.heading_mixture import HeadingMixture, heading_mixture
@@ -14,7 +13,7 @@ from fieldloc.measurements import Compass
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
-from fieldloc.resolution import sure
+from fieldloc.resolution import Belief, sure
 
 DEGREE = math.radians(1.0)
 SIGMA = 15 * DEGREE

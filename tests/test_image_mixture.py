@@ -11,7 +11,6 @@ from estimators.base import Estimate
 from estimators.config import Config
 from estimators.ekf import Ekf
 from fieldloc import pose as se2
-from fieldloc.association import Belief
 from fieldloc.camera import Camera
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.detection import Detection
@@ -22,7 +21,7 @@ from fieldloc.measurements import ImageFeatures, LineObservation, Odometry, Post
 from fieldloc.mixture import MixtureFactor
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
-from fieldloc.resolution import sure
+from fieldloc.resolution import Belief, sure
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import LandmarkStack, LineStack, PoseStack
 from fieldloc.tempering import tempered

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from fieldloc import pose as se2
-from fieldloc.association import Belief
 from fieldloc.detection import Detection
 from fieldloc.factors import LandmarkFactor, PoseFactor
 from fieldloc.field import FieldMap, Landmark, load_field
 from fieldloc.fixes.landmarks import landmark_fix
 from fieldloc.measurements import LandmarkScan
 from fieldloc.pose import FloatArray
-from fieldloc.resolution import sure
+from fieldloc.resolution import Belief, sure
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
 
 DETECTION = Detection(clutter=0.03, nothing_right=0.1)

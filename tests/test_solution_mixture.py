@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from fieldloc import pose as se2
-from fieldloc.association import Belief
 from fieldloc.covariance import central_difference
 from fieldloc.pose import FloatArray
-from fieldloc.resolution import sure
+from fieldloc.resolution import Belief, sure
 from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import FactorStack, HeadingStack, LandmarkStack, LineStack, PoseStack
 

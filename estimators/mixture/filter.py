@@ -67,7 +67,7 @@ class MixtureFilter:
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
-        self._believe(estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
+        self._believe(estimate.pose, estimate.robot_covariance)
         self._watch.begin(self._now_ns, "the start was given")
 
     def start_in(self, region: Region, stamp_ns: int) -> None:

@@ -24,7 +24,7 @@ from fieldloc.factors import Factor, PoseFactor, innovation_covariance
 from fieldloc.measurements import Odometry
 from fieldloc.mixture import MixtureFactor
 from fieldloc.pose import FloatArray
-from fieldloc.regions import Region
+from fieldloc.regions import Region, draw
 
 _ALONE = Copies(np.zeros((0, 3)))
 _FLOOR = 8.0  # a factor four sigmas off is as good as a random one
@@ -70,7 +70,7 @@ class ClassicMcl:
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
-        self._believe(estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
+        self._believe(estimate.pose, estimate.robot_covariance)
 
     def start_in(self, region: Region, stamp_ns: int) -> None:
         self.advance(stamp_ns)
@@ -100,7 +100,7 @@ class ClassicMcl:
         error = factor.error(self._cloud.poses)
         misfit = np.einsum("ni,ij,nj->n", error, np.linalg.inv(factor.covariance), error)
         self._weigh(
-            np.logaddexp(math.log(self._settings.hit) - 0.5 * misfit, math.log(self._settings.random_share) - 8.0)
+            np.logaddexp(math.log(self._settings.hit) - 0.5 * misfit, math.log(self._settings.random_share) - _FLOOR)
         )
         return Innovation(factor.stamp_ns, residual, expected, nis, 1.0)
 
@@ -146,13 +146,7 @@ class ClassicMcl:
 
     def _anywhere(self, count: int) -> Cloud:
         assert self._region is not None
-        boxes, headings = self._region.boxes, self._region.headings
-        size = boxes[:, 2:] - boxes[:, :2]
-        volume = size[:, 0] * size[:, 1] * headings[:, 1]
-        of = self._random.choice(len(boxes), size=count, p=volume / volume.sum())
-        position = boxes[of, :2] + self._random.random((count, 2)) * size[of]
-        heading = headings[of, 0] + headings[of, 1] * self._random.uniform(-1.0, 1.0, count)
-        return _uniform(np.column_stack([position, se2.wrap(heading)]))
+        return _uniform(draw(self._region, count, self._random))
 
     def _take(self, cloud: Cloud) -> None:
         cloud.labels, _, _ = regroup(cloud)

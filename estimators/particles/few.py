@@ -67,7 +67,7 @@ class FewSamples:
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
-        self._believe(estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
+        self._believe(estimate.pose, estimate.robot_covariance)
 
     def start_in(self, region: Region, stamp_ns: int) -> None:
         self.advance(stamp_ns)

@@ -52,7 +52,7 @@ class ParticleFilter:
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
-        self._scatter(estimate.pose, se2.rotate_covariance(estimate.covariance, -estimate.pose[2]))
+        self._scatter(estimate.pose, estimate.robot_covariance)
 
     def start_in(self, region: Region, stamp_ns: int) -> None:
         self.advance(stamp_ns)
@@ -87,7 +87,7 @@ class ParticleFilter:
         residual = factor.error(mean)
         _, expected = innovation_covariance(factor, mean, covariance)
         nis = float(squared_mahalanobis(residual, expected))
-        weight = min(1.0, self._config.robust.nis_per_dof * len(residual) / max(nis, 1e-300))
+        weight = self._config.robust.trust(nis, len(residual))
         if (elsewhere := self._restart.consider(factor, disagrees=weight < 1.0)) is not None:
             self._scatter(elsewhere.pose, elsewhere.covariance)
             return Innovation(factor.stamp_ns, residual, expected, nis, 0.0)

@@ -3,11 +3,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldloc import pose as se2
-from fieldloc.association import landmark_factors, seen_in_robot
 from fieldloc.covariance import central_difference
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan
 from fieldloc.pose import FloatArray
+from fieldloc.scan_factors import landmark_factors, seen_in_robot
 
 MOUNT = np.array([0.2, -0.1, 0.7])
 NOISE = np.array([[4e-4, 1e-4], [1e-4, 9e-4]])

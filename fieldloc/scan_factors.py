@@ -1,6 +1,6 @@
-"""Where landmarks were seen, as points and as factors of those on the map; and where a robot is thought to be."""
+"""Where a scan's landmarks were seen, as points and as factors of those on the map."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,14 +10,6 @@ from fieldloc.field import FieldMap
 from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Belief:
-    """Where the robot is thought to be: pose (3,), covariance (3, 3) of it in the robot frame."""
-
-    pose: FloatArray
-    covariance: FloatArray
 
 
 def seen_in_robot(scan: LandmarkScan) -> tuple[FloatArray, FloatArray]:
