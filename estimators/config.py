@@ -121,6 +121,21 @@ class Calibration:
 
 
 @dataclass(frozen=True, slots=True)
+class Sensor:
+    """Prior standard deviations of what the eyes get wrong all the time (estimators.sensor.SensorCalibration).
+
+    It is estimated along with the poses; 0 takes the log at its word.
+    """
+
+    bearing_offset_sigma_rad: float = 0.02
+    delay_sigma_s: float = 0.05
+
+    def sigmas(self) -> FloatArray:
+        """(2,) in the order of SensorCalibration."""
+        return np.array(astuple(self))
+
+
+@dataclass(frozen=True, slots=True)
 class Compass:
     """What all of a compass' readings get wrong alike: iron on the robot, a magnetic north that is not as stated.
 
@@ -145,6 +160,7 @@ class Config:
     particles: Particles = field(default_factory=Particles)
     graph: Graph = field(default_factory=Graph)
     calibration: Calibration = field(default_factory=Calibration)
+    sensor: Sensor = field(default_factory=Sensor)
     correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     detection: Detection = field(default_factory=Detection)
     compass: Compass = field(default_factory=Compass)

@@ -1,6 +1,6 @@
 """Mixtures as seen from another copy of the field under the map's symmetries."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,10 @@ class Moved:
         return self.still.by_compass
 
     @property
+    def by_sight(self) -> bool:
+        return self.still.by_sight
+
+    @property
     def log_outlier(self) -> float:
         return self.still.log_outlier
 
@@ -56,19 +60,18 @@ class Moved:
 
 def moved(factor: Factor, by: FloatArray) -> Factor:
     """The same factor on a field that was moved by a pose (3,)."""
-    at_ns = factor.stamp_ns
     match factor:
         case PoseFactor():
-            return PoseFactor(at_ns, se2.compose(by, factor.pose), factor.covariance)
+            return replace(factor, pose=se2.compose(by, factor.pose))
         case LandmarkFactor():
-            return LandmarkFactor(at_ns, se2.apply(by, factor.landmark), factor.seen, factor.covariance)
+            return replace(factor, landmark=se2.apply(by, factor.landmark))
         case HeadingFactor():
             heading_rad = float(se2.wrap(factor.heading_rad + by[2]))
-            return HeadingFactor(at_ns, heading_rad, factor.covariance, factor.by_compass, factor.wider)
+            return replace(factor, heading_rad=heading_rad)
         case LineFactor():
             normal_rad = factor.normal_rad + by[2]
             offset_m = factor.offset_m + np.cos(normal_rad) * by[0] + np.sin(normal_rad) * by[1]
             heading_rad = float(se2.wrap(factor.heading_rad + by[2]))
-            return LineFactor(at_ns, heading_rad, float(normal_rad), float(offset_m), factor.covariance)
+            return replace(factor, heading_rad=heading_rad, normal_rad=float(normal_rad), offset_m=float(offset_m))
         case _:
             raise TypeError(f"no way to move a {type(factor).__name__}")

@@ -1,11 +1,12 @@
 """What an estimator eats: one instant's knowledge about the pose as an error with a covariance.
 
 Every estimator uses these same errors; none has a measurement model of its own. `error(poses)` is zero-mean with the
-factor's covariance at the true pose, and `jacobian` is its derivative by the robot-frame tangent at a pose.
+factor's covariance at the true pose, and `jacobian` is its derivative by the robot-frame tangent at a pose. A factor
+that is `by_sight` is about the pose at which a sensor on the robot saw something (MixtureFactor.by_sight).
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -38,6 +39,7 @@ class PoseFactor:
     stamp_ns: int
     pose: FloatArray
     covariance: FloatArray
+    by_sight: bool = False
 
     @classmethod
     def from_fix(cls, stamp_ns: int, fix: Fix) -> "PoseFactor":
@@ -61,6 +63,7 @@ class LandmarkFactor:
     landmark: FloatArray
     seen: FloatArray
     covariance: FloatArray
+    by_sight: bool = False
 
     def error(self, poses: FloatArray) -> FloatArray:
         return se2.apply(se2.inverse(poses), self.landmark) - self.seen
@@ -104,6 +107,7 @@ class LineFactor:
     normal_rad: float
     offset_m: float
     covariance: FloatArray
+    by_sight: bool = False
 
     def error(self, poses: FloatArray) -> FloatArray:
         c, s = np.cos(self.normal_rad), np.sin(self.normal_rad)
@@ -120,3 +124,11 @@ def innovation_covariance(factor: Factor, pose: FloatArray, covariance: FloatArr
     robot frame."""
     jacobian = factor.jacobian(pose)
     return jacobian, jacobian @ covariance @ jacobian.T + factor.covariance
+
+
+AnyFactor = TypeVar("AnyFactor", bound=Factor)
+
+
+def sighted(factor: AnyFactor) -> AnyFactor:
+    """The same factor, as of something that a sensor on the robot saw."""
+    return replace(factor, by_sight=True) if isinstance(factor, (PoseFactor, LandmarkFactor, LineFactor)) else factor

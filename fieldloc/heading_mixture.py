@@ -43,6 +43,7 @@ class HeadingMixture:
     area_m2: float
     symmetric = False
     by_compass = True
+    by_sight = False
     log_outlier = -math.inf
 
     def __post_init__(self) -> None:

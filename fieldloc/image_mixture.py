@@ -93,6 +93,7 @@ def image_mixture(
         log_outlier,
         symmetric=not posts.labelled,
         area_m2=image_field.area_m2,
+        by_sight=True,
     )
 
 

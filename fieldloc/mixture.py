@@ -112,6 +112,11 @@ class MixtureFactor(Protocol):
         """
 
     @property
+    def by_sight(self) -> bool:
+        """Whether a sensor on the robot saw it: then it is about the place where that sensor was when it saw it, which
+        an estimator that knows its delay and how it is turned can tell from the robot's now."""
+
+    @property
     def log_outlier(self) -> float:
         """log p(observation | nothing of it is right), the prior probability of that included."""
 

@@ -41,6 +41,10 @@ class RepeatedMixture:
         return self.again.by_compass
 
     @property
+    def by_sight(self) -> bool:
+        return self.again.by_sight
+
+    @property
     def log_outlier(self) -> float:
         return self.again.log_outlier
 

@@ -29,6 +29,6 @@ def landmark_factors(
     # the map's error turns with the unknown heading: its largest in all directions
     survey = np.linalg.eigvalsh(field.positions_covariance[indices])[:, -1]
     return tuple(
-        LandmarkFactor(scan.stamp_ns, field.positions[index], seen[k], spread[k] + survey[k] * np.eye(2))
+        LandmarkFactor(scan.stamp_ns, field.positions[index], seen[k], spread[k] + survey[k] * np.eye(2), by_sight=True)
         for k, index in enumerate(indices)
     )

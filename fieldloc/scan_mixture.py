@@ -50,6 +50,7 @@ class ScanMixture:
     symmetric: bool
     misses: Misses | None = None
     by_compass: bool = False
+    by_sight: bool = True
     _ids: dict[bytes, int] = field(default_factory=dict, init=False)
     _matches: list[IntArray] = field(default_factory=list, init=False)
 

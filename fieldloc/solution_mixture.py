@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fieldloc import pose as se2
 from fieldloc.covariance import log_peaks
-from fieldloc.factors import Factor
+from fieldloc.factors import Factor, sighted
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.stacks import FactorStack, LineStack, PoseStack
@@ -31,6 +31,7 @@ class SolutionMixture:
     symmetric: bool
     area_m2: float
     by_compass: bool = False
+    by_sight: bool = False
 
     @property
     def log_integral(self) -> float:
@@ -82,7 +83,8 @@ class SolutionMixture:
     def chosen(self, solution: int) -> tuple[Factor, ...]:
         for stack, weights in self.stacks:
             if solution < len(weights):
-                return (stack.factor(self.stamp_ns, solution),)
+                factor = stack.factor(self.stamp_ns, solution)
+                return (sighted(factor) if self.by_sight else factor,)
             solution -= len(weights)
         raise IndexError(f"no solution {solution}")
 

@@ -1,0 +1,37 @@
+"""What the robot's eyes get wrong in the same way all the time: how they are turned, how late they are."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldloc import pose as se2
+from fieldloc.pose import FloatArray
+
+
+class SensorCalibration(NamedTuple):
+    """Bearings are larger by `bearing_offset_rad`; what is stamped now was seen `delay_s` before. All zero is perfect.
+
+    So what is seen is about the pose `seen_from`, not about that of the robot.
+    """
+
+    bearing_offset_rad: float = 0.0
+    delay_s: float = 0.0
+
+
+SENSOR = len(SensorCalibration._fields)
+
+
+def lever(velocity: FloatArray) -> FloatArray:
+    """(3, 2): change of the robot-frame tangent of the pose that was seen from with the calibration.
+
+    velocity: (3,) of the robot at the stamp, robot frame, m/s and rad/s.
+    """
+    out = np.zeros((3, SENSOR))
+    out[2, 0] = -1.0
+    out[:, 1] = -velocity
+    return out
+
+
+def seen_from(poses: FloatArray, sensor: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Poses (..., 3) that something was seen from by robots at `poses` (..., 3) with calibrations `sensor` (..., 2)."""
+    return se2.retract(poses, sensor @ lever(velocity).T)
