@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from estimators.motion import STANDSTILL, Increment
+from estimators.sensor import lever
 from fieldloc import pose as se2
 from fieldloc.factors import Factor
 from fieldloc.mixture import IntArray, MixtureFactor
@@ -29,6 +30,21 @@ class Chain:
     motions: tuple[Increment, ...]
     factors: tuple[tuple[int, Factor], ...]
     guess: FloatArray
+
+    def velocities(self, calibration: FloatArray) -> FloatArray:
+        """(n, 3) of the robot just before each node, robot frame, m/s and rad/s, by an odometry of that calibration
+        (6,)."""
+        if not self.motions:
+            return np.zeros((len(self.stamps_ns), 3))
+        moved = np.array([motion.before_from_after for motion in self.motions])
+        by_calibration = np.array([motion.by_calibration for motion in self.motions])
+        moved = se2.log(se2.retract(moved, by_calibration @ calibration))
+        out = moved / (np.diff(self.stamps_ns) * 1e-9)[:, None]
+        return np.concatenate([out[:1], out])
+
+    def levers(self, calibration: FloatArray) -> FloatArray:
+        """(n, 3, 2) of the sensor's calibration at each node (estimators.sensor.lever): see estimators.solution."""
+        return lever(self.velocities(calibration))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.chain import Chain, Recorded
+from estimators.compass_knots import at_nodes, knot_s
 from estimators.config import Config
-from estimators.graph import MOTION_FLOOR, Solution, solve
-from estimators.graph.compass_offsets import at_nodes, knot_s
+from estimators.graph import solve
+from estimators.solution import MOTION_FLOOR, Solution
 from estimators.stretches import Story
 from fieldloc import pose as se2
 from fieldloc.covariance import log_peaks

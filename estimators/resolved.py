@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.base import Ambiguity, Hypothesis
-from estimators.graph import Solution
 from estimators.joint import Settled
+from estimators.solution import Solution
 from fieldloc import pose as se2
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray

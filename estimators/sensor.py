@@ -22,13 +22,13 @@ SENSOR = len(SensorCalibration._fields)
 
 
 def lever(velocity: FloatArray) -> FloatArray:
-    """(3, 2): change of the robot-frame tangent of the pose that was seen from with the calibration.
+    """(..., 3, 2): change of the robot-frame tangent of the pose that was seen from with the calibration.
 
-    velocity: (3,) of the robot at the stamp, robot frame, m/s and rad/s.
+    velocity: (..., 3) of the robot at the stamp, robot frame, m/s and rad/s.
     """
-    out = np.zeros((3, SENSOR))
-    out[2, 0] = -1.0
-    out[:, 1] = -velocity
+    out = np.zeros((*velocity.shape, SENSOR))
+    out[..., 2, 0] = -1.0
+    out[..., 1] = -velocity
     return out
 
 

@@ -9,13 +9,14 @@ from estimators.base import Ambiguity, Estimate, Event, Hypothesis, Innovation
 from estimators.chain import ChainRecorder, Recorded
 from estimators.config import Config
 from estimators.ekf import Ekf
-from estimators.graph import Solution, solve
+from estimators.graph import solve
 from estimators.mixture.filter import MixtureFilter
 from estimators.mixture.lost import UNKNOWN
 from estimators.modes import ModeSequence
 from estimators.motion import HeldVelocity
 from estimators.resolve import resolve
 from estimators.resolved import Resolution
+from estimators.solution import Solution
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.measurements import Odometry

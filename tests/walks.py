@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from estimators.base import Estimate, Estimator
-from estimators.config import Calibration, Config, MotionNoise
+from estimators.config import Calibration, Config, MotionNoise, Sensor
 from estimators.motion import OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
@@ -28,7 +28,7 @@ FIELD = FieldMap(
 )
 PERFECT = OdometryCalibration()
 TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-PLAIN = Config(calibration=TAKEN_AT_ITS_WORD)
+PLAIN = Config(calibration=TAKEN_AT_ITS_WORD, sensor=Sensor(0.0, 0.0))
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.05, 0.03
 ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0, 0.0)
 _NEARLY_SURE = np.diag([1e-3, 1e-3, 1e-3]) ** 2

@@ -1,33 +1,14 @@
 """The compass' offset in the graph: a value each second or so, alike from one to the next, in all of its readings."""
 
-from collections.abc import Sequence
-
 import gtsam
 import numpy as np
 
 from estimators.chain import Chain
+from estimators.compass_knots import knot_s
 from estimators.config import Compass
 from fieldloc import pose as se2
 from fieldloc.factors import HeadingFactor
 from fieldloc.pose import FloatArray
-
-_KNOTS_PER_OFFSET = 20  # between two knots the offset gains a tenth of its variance: little beside a compass' noise
-
-
-def knot_s(config: Compass) -> float:
-    """Time between two values of the offset."""
-    return config.offset_s / _KNOTS_PER_OFFSET
-
-
-def at_nodes(
-    stamps_ns: Sequence[int], compass_rad: FloatArray, variances: FloatArray, config: Compass
-) -> tuple[FloatArray, FloatArray]:
-    """The offset and its variance at each node (n,): that of the nearest knot; what is believed of any without one."""
-    if not len(compass_rad):
-        return np.zeros(len(stamps_ns)), np.full(len(stamps_ns), config.offset_sigma_rad**2)
-    elapsed_s = (np.array(stamps_ns) - stamps_ns[0]) * 1e-9
-    knots = np.round(elapsed_s / knot_s(config)).astype(int)
-    return compass_rad[knots], variances[knots]
 
 
 class CompassOffsets:
@@ -68,24 +49,22 @@ class CompassOffsets:
             noise = gtsam.noiseModel.Robust.Create(kernel, base)
             graph.add(gtsam.PoseRotationPrior2D(node, gtsam.Rot2(float(heading_rad)), noise))
 
-    def error(self, values: gtsam.Values, offsets: FloatArray, cauchy: float) -> float:
+    def error(self, poses: FloatArray, offsets: FloatArray, cauchy: float) -> float:
         if not self._nodes:
             return 0.0
-        squares = self._residuals(values, offsets) ** 2
+        squares = self._residuals(poses, offsets) ** 2
         out = 0.5 * cauchy**2 * float(np.sum(np.log1p(squares / cauchy**2)))
         if self.count:
             out += 0.5 * float(offsets[0] / self._prior_sigma_rad) ** 2
             out += 0.5 * float(np.sum(((offsets[1:] - self._keep * offsets[:-1]) * self._step_weight) ** 2))
         return out
 
-    def add_to(
-        self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values, offsets: FloatArray, cauchy: float
-    ) -> None:
+    def add_to(self, linear: gtsam.GaussianFactorGraph, poses: FloatArray, offsets: FloatArray, cauchy: float) -> None:
         """Readings, first offset and steps between offsets, linearised at the values."""
         if not self._nodes:
             return
         unit = gtsam.noiseModel.Unit.Create(1)
-        misfit = self._residuals(values, offsets)
+        misfit = self._residuals(poses, offsets)
         robust = 1.0 / np.sqrt(1.0 + misfit**2 / cauchy**2)
         slope, towards = robust / self._sigma_rad, -robust * misfit
         for node, knot, row, value in zip(self._nodes, self._knots, slope, towards, strict=True):
@@ -102,8 +81,8 @@ class CompassOffsets:
         for key, value in enumerate(misfit, start=self._first_key):
             linear.add(gtsam.JacobianFactor(key, -self._keep * each, key + 1, each, np.array([-value]), unit))
 
-    def _residuals(self, values: gtsam.Values, offsets: FloatArray) -> FloatArray:
+    def _residuals(self, poses: FloatArray, offsets: FloatArray) -> FloatArray:
         """In the readings' sigmas."""
-        heading_rad = np.array([values.atPose2(node).theta() for node in self._nodes])
+        heading_rad = poses[self._nodes, 2]
         offset = offsets[self._knots] if self.count else 0.0
         return np.asarray(se2.wrap(heading_rad + offset - self._heading_rad) / self._sigma_rad)

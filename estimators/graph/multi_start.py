@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 from estimators.chain import Recorded
-from estimators.graph import MOTION_FLOOR
+from estimators.solution import MOTION_FLOOR
 from fieldloc import pose as se2
 from fieldloc.mixture import PoseSolutions
 from fieldloc.pose import FloatArray
