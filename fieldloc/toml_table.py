@@ -78,6 +78,15 @@ class TomlTable:
             self.fail(key, f"needs {what}, got {value!r}")
         return strings
 
+    def rows(self, key: str, what: str) -> list[tuple[str, ...]]:
+        """A list of lists of strings, none where the key is missing; `what` tells the user."""
+        value = self._values.get(key, []) if self.has(key) else []
+        if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+            self.fail(key, f"needs {what}, got {value!r}")
+        if not all(isinstance(item, str) and item for row in value for item in row):
+            self.fail(key, f"needs {what}, got {value!r}")
+        return [tuple(row) for row in value]
+
     def array(self, key: str, shape: tuple[int, ...], what: str) -> FloatArray:
         """Nested lists of finite numbers as an array; -1 in the shape stands for any length, `what` tells the user."""
         value = self._get(key)

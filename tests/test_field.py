@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldloc.colours import COLOURS, FieldColours
 from fieldloc.errors import FieldlocError
 from fieldloc.field import PRESETS, FieldMap, Landmark, field_to_toml, load_field, parse_field
 from fieldloc.pose import FloatArray, apply
@@ -57,6 +58,61 @@ def test_the_spl_field_agrees_with_the_one_the_nao_recordings_were_made_on() -> 
     assert np.allclose(field.circles, [[0, 0, 0.75]])
 
 
+@pytest.mark.parametrize(
+    ("name", "clear_m", "mark_m", "colour"),
+    [
+        ("kidsize-2014", 0.8, 1.8, "yellow"),
+        ("kidsize", 1.2, 1.5, "white"),
+        ("adultsize", 1.8, 2.1, "white"),
+        ("spl", 0.8, 1.3, "white"),
+    ],
+)
+def test_every_preset_has_its_crossbars_its_marks_and_the_colour_of_its_posts(
+    name: str, clear_m: float, mark_m: float, colour: str
+) -> None:
+    field = load_field(name)
+    assert [mark.height_m for mark in field.landmarks] == pytest.approx([clear_m + 0.1] * 4)  # the bar is 10 cm thick
+    for ends in field.crossbars:
+        a, b = (field.landmarks[field.labels.index(label)].position for label in ends)
+        assert a[0] == b[0]
+        assert a[1] == -b[1]
+    assert len(field.crossbars) == 2
+    x = field.bounds[2] - mark_m
+    assert np.allclose(field.marks, [[x, 0], [-x, 0], [0, 0]])
+    assert field.colours.posts == (COLOURS[colour],)
+    assert field.post_section == "round"
+
+
+def test_a_map_that_says_nothing_of_looks_has_white_round_posts_without_height_and_no_marks() -> None:
+    field = parse_field(field_text(), "lab")
+    assert field.colours == FieldColours(((255, 255, 255),))
+    assert field.post_section == "round"
+    assert field.crossbars == ()
+    assert field.marks.shape == (0, 2)
+    assert {mark.height_m for mark in field.landmarks} == {0.0}
+
+
+def test_a_user_s_map_says_what_its_posts_look_like() -> None:
+    text = """
+        post_colour = ["yellow", "#0a14ff"]
+        post_section = "square"
+        marks = [[1, 0]]
+        mark_size_m = 0.2
+        crossbars = [["a", "b"]]
+        landmarks = [
+            {label = "a", position_m = [0, 0], height_m = 0.9},
+            {label = "b", position_m = [1, 0], height_m = 0.9},
+        ]
+        """
+    for field in (parse_field(text, "lab"), parse_field(field_to_toml(parse_field(text, "lab")), "again")):
+        assert field.colours.posts == (COLOURS["yellow"], (10, 20, 255))
+        assert field.post_section == "square"
+        assert np.array_equal(field.marks, [[1, 0]])
+        assert field.mark_size_m == 0.2
+        assert field.crossbars == (("a", "b"),)
+        assert [mark.height_m for mark in field.landmarks] == [0.9, 0.9]
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_soccer_field_maps_onto_itself_by_the_half_turn_alone(name: str) -> None:
     assert np.array_equal(load_field(name).symmetries, [[0.0, 0.0, np.pi]])
@@ -83,6 +139,13 @@ def test_one_odd_landmark_breaks_the_half_turn() -> None:
     assert len(FieldMap("pair", field.lines, pair, field.landmarks).symmetries) == 0
     thicker = (landmark("post_opponent_left", 4.5, 0.8, 0.12), *field.landmarks[1:])
     assert len(FieldMap("thicker", field.lines, field.circles, thicker).symmetries) == 0
+
+
+def test_one_odd_mark_breaks_the_half_turn() -> None:
+    field = load_field("spl")
+    for odd, turns in (((1.0, 0.0), 0), ((0.0, 0.0), 1)):
+        marked = FieldMap("marked", field.lines, field.circles, field.landmarks, marks=np.array([odd]))
+        assert len(marked.symmetries) == turns
 
 
 def test_a_square_of_posts_away_from_the_origin_turns_by_quarters_about_its_middle() -> None:
@@ -128,7 +191,11 @@ def test_a_map_written_as_toml_reads_back_digit_by_digit(name: str) -> None:
     assert again.name == name
     assert again.line_width_m == field.line_width_m
     assert again.labels == field.labels
-    for key in ("lines", "circles", "positions", "positions_covariance", "symmetries"):
+    assert again.colours == field.colours
+    assert again.post_section == field.post_section
+    assert again.crossbars == field.crossbars
+    assert [mark.height_m for mark in again.landmarks] == [mark.height_m for mark in field.landmarks]
+    for key in ("lines", "circles", "marks", "positions", "positions_covariance", "symmetries"):
         assert np.array_equal(getattr(again, key), getattr(field, key))
 
 
@@ -208,7 +275,7 @@ MISTAKES = [
     ("line_width_m = 0\n" + MARK, "line_width_m: needs a number above 0"),
     ("line_width_m = true\n" + MARK, "line_width_m: needs a number above 0"),
     ('name = ""\n' + MARK, "name: needs a name"),
-    ("width = 3\n" + MARK, "width: unknown key; known here are circles, landmarks, line"),
+    ("width = 3\n" + MARK, "width: unknown key; known here are circles, crossbars, landmarks, line"),
     ("[landmarks]\nx = 1", "landmarks: needs tables [[landmarks]]"),
     ("landmarks = [1]", "landmarks: needs tables [[landmarks]]"),
     ('[[landmarks]]\nlabel = "a"', "landmarks[0].position_m: missing"),
@@ -226,7 +293,18 @@ MISTAKES = [
     (field_text(goal_width_m=None), "soccer.goal_width_m: missing"),
     (field_text(goal_width_m='"wide"'), "soccer.goal_width_m: needs a number above 0, got 'wide'"),
     (field_text(penalty_area_length_m=1.0), "soccer.penalty_area_length_m: a penalty area needs"),
-    (field_text(goal_height_m=1.0), "soccer.goal_height_m: unknown key"),
+    (field_text(goal_hight_m=1.0), "soccer.goal_hight_m: unknown key"),
+    (field_text(goal_height_m=-1.0), "soccer.goal_height_m: needs a number of at least 0"),
+    (field_text(penalty_mark_distance_m=3.0), "soccer.penalty_mark_distance_m: the marks lie on the other half"),
+    ('post_colour = "mauve"\n' + MARK, "post_colour: needs one or several of white, yellow,"),
+    ("post_colour = []\n" + MARK, "post_colour: needs one or several of white, yellow,"),
+    ('post_colour = "#12345"\n' + MARK, "post_colour: needs one or several of white, yellow,"),
+    ('post_section = "oval"\n' + MARK, "post_section: needs 'round' or 'square', got 'oval'"),
+    ("marks = [[1, 2, 3]]\n" + MARK, "marks: needs pairs [x, y]"),
+    ('crossbars = [["a", "b"]]\n' + MARK, "crossbars: needs pairs of the labels"),
+    ('crossbars = ["a", "b"]\n' + MARK, "crossbars: needs pairs of the labels"),
+    ('crossbars = [["a", 3]]\n' + MARK, "crossbars: needs pairs of the labels"),
+    (MARK + "height_m = -1", "landmarks[0].height_m: needs a number of at least 0"),
 ]
 
 
@@ -270,6 +348,18 @@ def test_a_map_made_wrongly_in_code_is_a_value_error(
         FieldMap("wrong", lines, circles, marks)
 
 
+def test_looks_made_wrongly_in_code_are_a_value_error() -> None:
+    post = landmark("a", 0, 0)
+    with pytest.raises(ValueError, match="does not join two landmarks that have a height"):
+        FieldMap("wrong", NO_LINES, NO_CIRCLES, (post, landmark("b", 1, 0)), crossbars=(("a", "b"),))
+    with pytest.raises(ValueError, match="marks"):
+        FieldMap("wrong", NO_LINES, NO_CIRCLES, (post,), marks=np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="no colour"):
+        FieldColours(())
+    with pytest.raises(ValueError, match="is no colour"):
+        FieldColours(((0, 0, 256),))
+
+
 def test_a_map_cannot_be_changed_behind_an_estimator_s_back() -> None:
     field = load_field("spl")
     with pytest.raises(ValueError, match="read-only"):
@@ -286,6 +376,8 @@ def test_the_documented_example_is_a_map() -> None:
     field = parse_field(example, "docs/field-maps.md")
     assert field.labels[-1] == "beacon"
     assert len(field.lines) == 17
-    # and with its commented lines and circles, which the text says to put before the first table
-    commented = [line[2:] for line in example.splitlines() if line.startswith(("# lines", "# circles"))]
-    assert len(parse_field("\n".join([*commented, example]), "docs").lines) == 19
+    # and with its commented lines, circles and marks, which the text says to put before the first table
+    commented = [line[2:] for line in example.splitlines() if line.startswith(("# lines", "# circles", "# marks"))]
+    more = parse_field("\n".join([*commented, example]), "docs")
+    assert len(more.lines) == 19
+    assert len(more.marks) == 4
