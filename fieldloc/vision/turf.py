@@ -1,0 +1,143 @@
+"""The field's region in a picture, whatever green its turf is.
+
+The turf's hue is the peak of the hues of the picture itself, the lower the pixel the more it counts; shadow, sun and
+lines stay inside. The border to what is behind the field is where, going up a column, turf stops being the most of what
+is seen; robots in front of it are bridged, as a field is convex.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc.pose import FloatArray
+from fieldloc.vision.picture import UInt8Array
+
+Mask = NDArray[np.bool_]
+
+_LONG_SIDE_PX = 320  # of the reduced picture: a field's region needs no more
+_HUES = (24, 98)  # of 180: from yellowish to bluish green, what any turf or carpet sold as such lies in
+_SATURATION = 30  # of 255; what is greyer has no hue to speak of
+_CHROMA = 10  # of 255; what is darker has none either
+_SHARE_OF_PEAK = 0.05  # hues as rare as this beside the peak are not turf
+_LEAST_SHARE = 0.02  # of the picture, for there to be a field at all
+_LEAST_PART = 0.001  # of the picture: smaller connected parts are specks
+_SHARE_OF_SATURATION = 0.35  # of the turf's median, below which it is something else
+_SHARE_OF_CHROMA = 0.2  # of the turf's median; deep shadow is at about a quarter
+_NARROW = 0.04  # of the width: what rises above the border over fewer columns is no turf
+_RUN = 3  # rows of the reduced picture: a column with fewer in turf shows none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turf:
+    """mask: (h', w') pixels of the turf's colour, on a grid `scale` (2,) times coarser than the picture (>= 1, not
+    whole in general; pixel (u, v) of the picture is at ((u + 0.5) / scale - 0.5, ..) of the mask): use `at`.
+
+    boundary_px: (k, 2) the field's upper border from left to right, in the picture's pixels; None where no field is
+    seen, and mask is all False then. colour: (3,) the turf's mean BGR, zeros without a field.
+    """
+
+    mask: Mask
+    scale: FloatArray
+    boundary_px: FloatArray | None
+    colour: FloatArray
+
+    def at(self, points_px: FloatArray) -> Mask:
+        """(...,) whether points (..., 2) of the picture have the turf's colour; False beside the picture."""
+        height, width = self.mask.shape
+        grid = np.floor((np.nan_to_num(points_px, nan=-9.0) + 0.5) / self.scale).astype(np.intp)
+        inside = (grid >= 0).all(axis=-1) & (grid < (width, height)).all(axis=-1)
+        grid = np.clip(grid, 0, (width - 1, height - 1))
+        return np.asarray(self.mask[grid[..., 1], grid[..., 0]] & inside, dtype=np.bool_)
+
+    def below_px(self, points_px: FloatArray) -> FloatArray:
+        """(...,) how far below the field's upper border points (..., 2) are; negative above, -inf without a field."""
+        if self.boundary_px is None:
+            return np.full(points_px.shape[:-1], -np.inf)
+        border = np.interp(points_px[..., 0], self.boundary_px[:, 0], self.boundary_px[:, 1])
+        return np.asarray(points_px[..., 1] - border, dtype=np.float64)
+
+
+def find_turf(picture: UInt8Array) -> Turf:
+    """The field in a picture; without mask and boundary where there is none."""
+    height, width = picture.shape[:2]
+    factor = max(1.0, max(height, width) / _LONG_SIDE_PX)
+    size = max(1, round(width / factor)), max(1, round(height / factor))
+    scale = np.array([width / size[0], height / size[1]])
+    small = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    coloured = _coloured(small)
+    coverage = _large_parts(coloured)
+    tops = _tops(coverage)
+    seen = np.isfinite(tops)
+    if np.count_nonzero(coverage) < _LEAST_SHARE * coverage.size or not seen.any():
+        return Turf(np.zeros(coverage.shape, dtype=np.bool_), scale, None, np.zeros(3))
+    border = _upper_hull(np.stack([np.flatnonzero(seen).astype(np.float64), tops[seen]], axis=1))
+    # The hull's ends reach to the picture's sides, level, so that the border is told for every column.
+    border = np.concatenate([[[-0.5, border[0, 1]]], border, [[size[0] - 0.5, border[-1, 1]]]])
+    rows = np.arange(size[1])[:, None]
+    mask = (coloured > 0) & (rows >= np.interp(np.arange(size[0]), border[:, 0], border[:, 1]))
+    colour = np.asarray(cv2.mean(small, mask.astype(np.uint8))[:3])
+    return Turf(mask, scale, (border + 0.5) * scale - 0.5, colour)
+
+
+def _coloured(small: UInt8Array) -> UInt8Array:
+    """255 where a pixel has the hue that is the turf's in this picture, in sun or shadow."""
+    hsv = np.asarray(cv2.cvtColor(small, cv2.COLOR_BGR2HSV), dtype=np.uint8)
+    chroma = np.asarray(cv2.multiply(hsv[:, :, 1], hsv[:, :, 2], scale=1 / 255), dtype=np.uint8)
+    hue, vivid, saturation = hsv[::2, ::2, 0], chroma[::2, ::2], hsv[::2, ::2, 1]
+    rows = np.broadcast_to(np.linspace(0.2, 1.0, len(hue))[:, None], hue.shape)
+    green = (hue >= _HUES[0]) & (hue <= _HUES[1]) & (saturation >= _SATURATION) & (vivid >= _CHROMA)
+    if not green.any():
+        return np.zeros(small.shape[:2], dtype=np.uint8)
+    hue, vivid, saturation = hue[green], vivid[green], saturation[green]
+    counts = np.convolve(np.bincount(hue, weights=rows[green] * vivid, minlength=180), np.full(5, 0.2), mode="same")
+    peak = int(np.argmax(counts))
+    rare = counts < _SHARE_OF_PEAK * counts[peak]
+    least = max(_HUES[0], peak + 1 - int(np.argmax(rare[peak::-1])))
+    most = min(_HUES[1], peak - 1 + int(np.argmax(rare[peak:])))
+    # Turf is about as saturated everywhere; what has its hue by chance, as grey walls in green light, is much paler.
+    # Hue and saturation of what is nearly black are noise, so there must be some of the colour itself, too.
+    turf = (hue >= least) & (hue <= most)
+    paler = max(_SATURATION, _SHARE_OF_SATURATION * float(np.median(saturation[turf])))
+    darker = max(_CHROMA, _SHARE_OF_CHROMA * float(np.median(vivid[turf])))
+    coloured = cv2.inRange(hsv, (least, paler, 0), (most, 255, 255))
+    return np.asarray(cv2.bitwise_and(coloured, cv2.inRange(chroma, darker, 255)), dtype=np.uint8)
+
+
+def _large_parts(coloured: UInt8Array) -> Mask:
+    """Without specks of the colour: grass is dense, and a field's parts between lines and shadows are large."""
+    dense = cv2.medianBlur(coloured, 5)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=4, ltype=cv2.CV_16U)
+    large = stats[:, cv2.CC_STAT_AREA] >= _LEAST_PART * coloured.size
+    large[0] = False
+    return np.asarray(large[labels], dtype=np.bool_)
+
+
+def _tops(mask: Mask) -> FloatArray:
+    """(w',) the upper edge of the stretch of each column with the greatest excess of turf; NaN without one."""
+    height, width = mask.shape
+    from_below = np.cumsum(np.where(mask[::-1], np.int32(1), np.int32(-1)), axis=0, dtype=np.int32)
+    before = np.minimum.accumulate(np.concatenate([np.zeros((1, width), dtype=np.int32), from_below[:-1]]), axis=0)
+    excess = from_below - before
+    best = excess.argmax(axis=0)
+    heights = np.where(excess[best, np.arange(width)] >= min(_RUN, height), best + 1.0, 0.0)
+    # A post, a plant or a leg of the colour makes a peak of few columns, a field's corner does not.
+    window = max(3, round(_NARROW * width))
+    heights = cv2.morphologyEx(heights[None], cv2.MORPH_OPEN, np.ones((1, window), dtype=np.uint8))[0]
+    return np.where(heights > 0.0, height - 0.5 - heights, np.nan)
+
+
+def _upper_hull(points: FloatArray) -> FloatArray:
+    """The corners, from left to right, of the upper convex hull of points (n, 2) sorted by u (v grows downwards)."""
+    hull: list[FloatArray] = []
+    for point in points:
+        while len(hull) > 1 and _cross(hull[-2], hull[-1], point) <= 0:
+            hull.pop()
+        hull.append(point)
+    return np.array(hull)
+
+
+def _cross(first: FloatArray, second: FloatArray, third: FloatArray) -> float:
+    (u, v), (s, t) = second - first, third - first
+    return float(u * t - v * s)
