@@ -1,0 +1,30 @@
+"""A picture of a scene from a camera's pose on the field, with the truth about what it shows."""
+
+import numpy as np
+
+from fieldloc.camera import Camera
+from fieldloc.field import FieldMap
+from fieldloc.measurements import CameraMount
+from fieldloc.pose import FloatArray
+from fieldloc.render.canvas import Canvas
+from fieldloc.render.exposure import UInt8Array, expose
+from fieldloc.render.grid import Eye
+from fieldloc.render.scene import Scene
+from fieldloc.render.standing import paint_standing
+from fieldloc.render.turf import paint_ground
+
+
+def render(
+    scene: Scene, camera: Camera, field: FieldMap, mount: CameraMount, pose: FloatArray, rng: np.random.Generator
+) -> UInt8Array:
+    """(h, w, 3), blue, green, red. pose: (3,) field_from_robot. rng: for the sensor's noise alone.
+
+    ValueError where the camera is not above the ground.
+    """
+    if not mount.height_m > 0.0:
+        raise ValueError(f"height_m is {mount.height_m}, must be above 0")
+    canvas = Canvas(Eye(camera, mount, pose))
+    paint_ground(canvas, scene, field)
+    paint_standing(canvas, scene, field)
+    canvas.light[np.isnan(canvas.eye.rays[:, 0])] = 0.0  # beyond what the lens shows
+    return expose(canvas.light.reshape(camera.height_px, camera.width_px, 3), scene.sensor, rng)
