@@ -38,13 +38,18 @@ class Chain:
             return np.zeros((len(self.stamps_ns), 3))
         moved = np.array([motion.before_from_after for motion in self.motions])
         by_calibration = np.array([motion.by_calibration for motion in self.motions])
-        moved = se2.log(se2.retract(moved, by_calibration @ calibration))
-        out = moved / (np.diff(self.stamps_ns) * 1e-9)[:, None]
-        return np.concatenate([out[:1], out])
+        return velocities(moved, by_calibration @ calibration, self.stamps_ns)
 
     def levers(self, calibration: FloatArray) -> FloatArray:
         """(n, 3, 2) of the sensor's calibration at each node (estimators.sensor.lever): see estimators.solution."""
         return lever(self.velocities(calibration))
+
+
+def velocities(moved: FloatArray, miscalibrated: FloatArray, stamps_ns: Sequence[int] | IntArray) -> FloatArray:
+    """(n, 3) just before each of n >= 2 nodes, from the motions (n - 1, 3) between them and from what a calibration
+    changes of these (n - 1, 3)."""
+    out = se2.log(se2.retract(moved, miscalibrated)) / (np.diff(stamps_ns) * 1e-9)[:, None]
+    return np.concatenate([out[:1], out])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,8 +9,9 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from estimators.chain import Chain
+from estimators.chain import Chain, velocities
 from estimators.config import Config
+from estimators.sensor import lever as lever_at
 from estimators.solution import CALIBRATION, MOTION_FLOOR, WEAK_SIGMAS, global_sigmas
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
@@ -39,7 +40,7 @@ class FactorRows(NamedTuple):
     towards: FloatArray
 
 
-class _Group(NamedTuple):
+class Group(NamedTuple):
     """k factors of one kind, each as a stack of its own: arrays (k, 1, ...). whiteners: (k, m, m)."""
 
     nodes: IntArray
@@ -49,41 +50,44 @@ class _Group(NamedTuple):
 
 
 class Linearised:
-    """free: (GLOBALS,) which of what is the same over all of the chain is not fixed."""
+    """free: (GLOBALS,) which of what is the same over all of the chain is not fixed.
+
+    moved (n - 1, 3), by_calibration (n - 1, 3, 6): of the motions; motion_roots (n - 1, 3, 3): their whiteners.
+    """
 
     def __init__(self, chain: Chain, config: Config) -> None:
-        self._chain = chain
+        self._chain, self._stamps_ns = chain, np.array(chain.stamps_ns)
         self._cauchy = config.graph.cauchy
         self.sigmas = global_sigmas(config)
         self.free = self.sigmas > 0.0
-        self._moved = np.array([m.before_from_after for m in chain.motions]).reshape(-1, 3)
-        self._by_calibration = np.array([m.by_calibration for m in chain.motions]).reshape(-1, 3, CALIBRATION)
+        self.moved = np.array([m.before_from_after for m in chain.motions]).reshape(-1, 3)
+        self.by_calibration = np.array([m.by_calibration for m in chain.motions]).reshape(-1, 3, CALIBRATION)
         covariances = np.array([m.covariance for m in chain.motions]).reshape(-1, 3, 3) + MOTION_FLOOR
         self.motion_roots = np.linalg.inv(np.linalg.cholesky(covariances))
-        self._groups = _grouped(chain.factors)
+        self.groups = _grouped(chain.factors)
 
     def motions(self, poses: FloatArray, common: FloatArray) -> MotionRows:
         """common: (GLOBALS,)."""
-        by_calibration = self._by_calibration @ common[:CALIBRATION]
-        expected = se2.retract(self._moved, by_calibration)
+        by_calibration = self.by_calibration @ common[:CALIBRATION]
+        expected = se2.retract(self.moved, by_calibration)
         walked = se2.between(poses[:-1], poses[1:])
         error = se2.local(expected, walked)
         after = self.motion_roots @ se2.right_jacobian_inverse(error)
         before = -after @ se2.adjoint(se2.inverse(walked))
         # the expected motion is on the error's left side
-        moved = se2.right_jacobian(by_calibration) @ self._by_calibration
+        moved = se2.right_jacobian(by_calibration) @ self.by_calibration
         by_globals = np.zeros((len(error), 3, len(self.free)))
         by_globals[:, :, :CALIBRATION] = -self.motion_roots @ se2.right_jacobian_inverse(-error) @ moved
         return MotionRows(before, after, by_globals[:, :, self.free], -_times(self.motion_roots, error))
 
     def factors(self, poses: FloatArray, common: FloatArray) -> list[FactorRows]:
         """Under the kernel, a group for each kind of factor; the weak prior about the first pose is another."""
-        levers = self._chain.levers(common[:CALIBRATION])
+        levers = self.levers(common)
         weak = np.diag(1.0 / WEAK_SIGMAS)[None]
         error = se2.local(self._chain.guess[:1], poses[:1])
         rows = weak @ se2.right_jacobian_inverse(error)
         out = [FactorRows(np.zeros(1, dtype=np.intp), rows, np.zeros((1, 3, self.free.sum())), -_times(weak, error))]
-        for group in self._groups:
+        for group in self.groups:
             lever = levers[group.nodes] * group.sighted[:, None, None]
             turned = lever @ common[CALIBRATION:]
             seen_from = se2.retract(poses[group.nodes], turned)
@@ -96,22 +100,29 @@ class Linearised:
             out.append(FactorRows(group.nodes, by_pose, by_globals[..., self.free], -weight[:, None] * error))
         return out
 
+    def levers(self, common: FloatArray) -> FloatArray:
+        """As of the chain, (n, 3, 2), of which the arrays are at hand here."""
+        if not len(self.moved):
+            return lever_at(np.zeros((1, 3)))
+        miscalibrated = self.by_calibration @ common[:CALIBRATION]
+        return lever_at(velocities(self.moved, miscalibrated, self._stamps_ns))
+
     def error(self, poses: FloatArray, common: FloatArray) -> float:
         """What is minimised, the kernel's cost and the prior of what is the same over the chain included."""
-        by_calibration = self._by_calibration @ common[:CALIBRATION]
-        expected = se2.retract(self._moved, by_calibration)
+        by_calibration = self.by_calibration @ common[:CALIBRATION]
+        expected = se2.retract(self.moved, by_calibration)
         error = _times(self.motion_roots, se2.local(expected, se2.between(poses[:-1], poses[1:])))
         out = np.sum(error**2) + np.sum((common[self.free] / self.sigmas[self.free]) ** 2)
         out += np.sum((se2.local(self._chain.guess[0], poses[0]) / WEAK_SIGMAS) ** 2)
-        levers = self._chain.levers(common[:CALIBRATION])
-        for group in self._groups:
+        levers = self.levers(common)
+        for group in self.groups:
             turned = levers[group.nodes] @ common[CALIBRATION:] * group.sighted[:, None]
             error = _times(group.whiteners, _errors(group.stack, se2.retract(poses[group.nodes], turned)))
             out += self._cauchy**2 * np.sum(np.log1p(np.sum(error**2, axis=-1) / self._cauchy**2))
         return 0.5 * float(out)
 
 
-def _grouped(factors: Sequence[tuple[int, Factor]]) -> list[_Group]:
+def _grouped(factors: Sequence[tuple[int, Factor]]) -> list[Group]:
     kinds: dict[type, list[tuple[int, Factor]]] = {}
     for node, factor in factors:
         if not (isinstance(factor, HeadingFactor) and factor.by_compass):
@@ -125,7 +136,7 @@ def _grouped(factors: Sequence[tuple[int, Factor]]) -> list[_Group]:
         stack = _stacked(some, covariances)
         if not np.isfinite(covariances).all():
             raise ValueError("not finite: the covariance of a factor")
-        out.append(_Group(nodes, sighted, stack, np.linalg.inv(np.linalg.cholesky(covariances))))
+        out.append(Group(nodes, sighted, stack, np.linalg.inv(np.linalg.cholesky(covariances))))
     return out
 
 
