@@ -103,9 +103,10 @@ class Graph:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Prior standard deviations of what odometry gets wrong all the time (estimators.motion.OdometryCalibration).
+    """What odometry gets wrong all the time (estimators.motion.OdometryCalibration): what is known of it before a log,
+    and how well, as standard deviations.
 
-    It is estimated along with the poses; all 0 takes the odometry at its word.
+    It is estimated along with the poses; where all sigmas are 0 it is taken as known.
     """
 
     scale_sigma: float = 0.1
@@ -114,25 +115,42 @@ class Calibration:
     crab_sigma_rad: float = 0.1
     drift_sigma_mps: float = 0.02
     turn_drift_sigma_radps: float = 0.02
+    scale: float = 0.0
+    turn_scale: float = 0.0
+    veer_rad_per_m: float = 0.0
+    crab_rad: float = 0.0
+    drift_mps: float = 0.0
+    turn_drift_radps: float = 0.0
+
+    def means(self) -> FloatArray:
+        """(6,) in the order of OdometryCalibration."""
+        return np.array(astuple(self)[6:])
 
     def sigmas(self) -> FloatArray:
         """(6,) in the order of OdometryCalibration."""
-        return np.array(astuple(self))
+        return np.array(astuple(self)[:6])
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Prior standard deviations of what the eyes get wrong all the time (estimators.sensor.SensorCalibration).
+    """What the eyes get wrong all the time (estimators.sensor.SensorCalibration): what is known of it before a log, and
+    how well, as standard deviations.
 
-    It is estimated along with the poses; 0 takes the log at its word.
+    It is estimated along with the poses; a sigma of 0 takes it as known.
     """
 
     bearing_offset_sigma_rad: float = 0.02
     delay_sigma_s: float = 0.05
+    bearing_offset_rad: float = 0.0
+    delay_s: float = 0.0
+
+    def means(self) -> FloatArray:
+        """(2,) in the order of SensorCalibration."""
+        return np.array(astuple(self)[2:])
 
     def sigmas(self) -> FloatArray:
         """(2,) in the order of SensorCalibration."""
-        return np.array(astuple(self))
+        return np.array(astuple(self)[:2])
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TypeVar
 
-from estimators.config import Calibration, Compass, Config, Graph, Mixture, MotionNoise, Particles, Robust
+from estimators.config import Calibration, Compass, Config, Graph, Mixture, MotionNoise, Particles, Robust, Sensor
+from estimators.motion import OdometryCalibration
+from estimators.sensor import SensorCalibration
 from fieldloc.detection import Detection
 from fieldloc.errors import FieldlocError
 from fieldloc.repetition import ErrorCorrelation
@@ -23,10 +25,11 @@ _ABOVE_ZERO = (
     "max_hypotheses",
     "offset_s",
 )
+_SIGNED = tuple(OdometryCalibration._fields + SensorCalibration._fields)
 _BELOW_ONE = ("outlier_share", "prune_below", "negligible", "post", "clutter", "nothing_right")
 
 Section = TypeVar(
-    "Section", MotionNoise, Robust, Mixture, Particles, Graph, Calibration, ErrorCorrelation, Detection, Compass
+    "Section", MotionNoise, Robust, Mixture, Particles, Graph, Calibration, Sensor, ErrorCorrelation, Detection, Compass
 )
 
 
@@ -64,7 +67,10 @@ def _section(section: Section, whole: TomlTable, name: str) -> Section:
     values: dict[str, float] = {}
     for item in fields(section):
         default = getattr(section, item.name)
-        value = table.number(item.name, float(default), positive=item.name in _ABOVE_ZERO)
+        if item.name in _SIGNED:
+            value = table.signed(item.name, float(default))
+        else:
+            value = table.number(item.name, float(default), positive=item.name in _ABOVE_ZERO)
         if item.name in _BELOW_ONE and value >= 1.0:
             table.fail(item.name, f"needs a share below 1, got {value}")
         if isinstance(default, int):
