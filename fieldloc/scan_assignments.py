@@ -13,6 +13,7 @@ from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray
 from fieldloc.pose import FloatArray
 from fieldloc.scan_model import Pairs, ScanModel, Terms
+from fieldloc.scan_quadratics import Quadratics, log_shared, quadratics
 
 _AT_ONCE = 48  # assignments followed of one hypothesis
 _FORGOTTEN_ON_THE_WAY = 12.0  # log weight below the best one's
@@ -46,8 +47,9 @@ def assign(model: ScanModel, pairs: Pairs, covariances: FloatArray) -> Assignmen
     count = count.reshape(h, n)
     parent = np.arange(h)
     matches = np.full((h, n), -1)
-    step: FloatArray = np.zeros((h, 3))
-    covariance, score = covariances, np.asarray(np.zeros(h))
+    covariance, longer = _with_shared(model, covariances)
+    step: FloatArray = np.zeros(covariance.shape[:2])
+    score: FloatArray = np.zeros(h)
     for row in range(n):
         options = count[parent, row]
         total = int(options.sum())
@@ -58,7 +60,7 @@ def assign(model: ScanModel, pairs: Pairs, covariances: FloatArray) -> Assignmen
         if row:
             free = (matches[origin, :row] != pairs.landmark[pair, None]).all(axis=1)
             origin, pair = origin[free], pair[free]
-        moved, narrowed, gain = _absorb(pairs, pair, step[origin], covariance[origin])
+        moved, narrowed, gain = _absorb(pairs, pair, longer[row], step[origin], covariance[origin])
         explained = matches[origin]
         explained[:, row] = pairs.landmark[pair]
         parent = np.concatenate([parent, parent[origin]])
@@ -68,25 +70,45 @@ def assign(model: ScanModel, pairs: Pairs, covariances: FloatArray) -> Assignmen
         keep = _best(parent, score, h)
         parent, matches, score = parent[keep], matches[keep], score[keep]
         step, covariance = step[keep], covariance[keep]
-    return Assignments(parent, matches, step, score)
+    return Assignments(parent, matches, step[:, :3], score)
+
+
+def _with_shared(model: ScanModel, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariances (h, 3, 3) with what the scan shares: a turn of all bearings is one of the sensor, and ranges that are
+    all too long are a fourth number (h, 4, 4). Then (n, 2) what that moves each observation by."""
+    n = len(model.range_bearing)
+    if model.shared is None:
+        return covariances, np.zeros((n, 2))
+    by_range, by_bearing = model.shared_widened.T
+    out = np.zeros((len(covariances), 4, 4))
+    out[:, :3, :3] = covariances
+    out[:, 2, 2] += by_bearing[0] ** 2
+    out[:, 3, 3] = 1.0
+    along = model.range_bearing[:, 1]
+    return out, by_range[:, None] * np.stack([np.cos(along), np.sin(along)], axis=-1)
 
 
 def _absorb(
-    pairs: Pairs, pair: IntArray, step: FloatArray, covariance: FloatArray
+    pairs: Pairs, pair: IntArray, longer: FloatArray, step: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The Kalman update with one pair each: step (c, 3), covariance (c, 3, 3), and gain in log evidence (c,).
+    """The Kalman update with one pair each: step (c, k), covariance (c, k, k), and gain in log evidence (c,).
 
-    The error's Jacobian is [[-1, 0, y], [0, -1, -x]]; written out, it is several times faster than products of small
-    matrices.
+    The error's Jacobian is [[-1, 0, y], [0, -1, -x]], with `longer` (2,) beside it if k is 4; written out, it is
+    several times faster than products of small matrices.
     """
     x, y = pairs.x[pair], pairs.y[pair]
     ex = pairs.ex[pair] - step[:, 0] + y * step[:, 2]
     ey = pairs.ey[pair] - step[:, 1] - x * step[:, 2]
     p0, p1, p2 = covariance[:, 0], covariance[:, 1], covariance[:, 2]
     by_x, by_y = y[:, None] * p2 - p0, -x[:, None] * p2 - p1
+    if step.shape[1] == 4:
+        ex, ey = ex + longer[0] * step[:, 3], ey + longer[1] * step[:, 3]
+        by_x, by_y = by_x + longer[0] * covariance[:, 3], by_y + longer[1] * covariance[:, 3]
     xx = y * by_x[:, 2] - by_x[:, 0] + pairs.xx[pair]
     xy = -x * by_x[:, 2] - by_x[:, 1] + pairs.xy[pair]
     yy = -x * by_y[:, 2] - by_y[:, 1] + pairs.yy[pair]
+    if step.shape[1] == 4:
+        xx, xy, yy = xx + longer[0] * by_x[:, 3], xy + longer[1] * by_x[:, 3], yy + longer[1] * by_y[:, 3]
     det = xx * yy - xy * xy
     wx, wy = (yy * ex - xy * ey) / det, (xx * ey - xy * ex) / det
     gain_x = ((yy / det)[:, None] * by_x - (xy / det)[:, None] * by_y)[:, :, None]
@@ -118,12 +140,12 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
     if _unambiguous(pairs, len(poses), *model.may.shape):
         parent = np.flatnonzero((matches >= 0).any(axis=1))
         found = Assignments(parent, matches[parent], np.zeros((len(parent), 3)), np.zeros(len(parent)))
-        out, error, weighted = _quadratics(model, found, poses, covariances, pairs.wider)
-        if (doubted := _without_one(out, found.matches, error, weighted)) is not None:
+        expanded = _expanded(model, found, poses, covariances, pairs.wider)
+        if (doubted := _without_one(expanded, found.matches)) is not None:
             return doubted
     found = assign(model, pairs, covariances)
     found = found.take(np.flatnonzero((found.matches >= 0).any(axis=1)))
-    out, _, _ = _quadratics(model, found, poses, covariances, pairs.wider)
+    out = _expanded(model, found, poses, covariances, pairs.wider).out
     best = np.full(len(poses), -np.inf)
     np.maximum.at(best, out.parent, out.evidence)
     keep = np.flatnonzero(out.evidence > best[out.parent] - _FORGOTTEN)
@@ -133,8 +155,16 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
 def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
     """(n,) landmark of each observation, -1 for none, in the best assignment from one pose (3,)."""
     pairs = model.pairs(pose[None], np.zeros((1, 3, 3)))
-    det = pairs.xx * pairs.yy - pairs.xy**2
-    misfit = (pairs.yy * pairs.ex**2 - 2.0 * pairs.xy * pairs.ex * pairs.ey + pairs.xx * pairs.ey**2) / det
+    xx, xy, yy = pairs.xx, pairs.xy, pairs.yy
+    if model.shared is not None:
+        by_range, by_bearing = model.shared_widened[pairs.row].T
+        r, along = model.range_bearing[pairs.row].T
+        c, s, across2 = np.cos(along), np.sin(along), (r * by_bearing) ** 2
+        xx = xx + by_range**2 * c * c + across2 * s * s
+        xy = xy + (by_range**2 - across2) * c * s
+        yy = yy + by_range**2 * s * s + across2 * c * c
+    det = xx * yy - xy**2
+    misfit = (yy * pairs.ex**2 - 2.0 * xy * pairs.ex * pairs.ey + xx * pairs.ey**2) / det
     gain = np.zeros(model.may.shape)
     gain[pairs.row, pairs.landmark] = np.maximum(pairs.log_peak - 0.5 * (np.log(det) + misfit), 0.0)
     row, landmark = linear_sum_assignment(gain, maximize=True)
@@ -151,43 +181,55 @@ def _unambiguous(pairs: Pairs, h: int, n: int, m: int) -> bool:
     )
 
 
-def _quadratics(
-    model: ScanModel, found: Assignments, poses: FloatArray, covariances: FloatArray, wider: FloatArray | None
-) -> tuple[Expansion, Terms, FloatArray]:
-    """At their parents among poses (h, 3), straight where they lead.
+class _Expanded(NamedTuple):
+    """whole: with the shared errors, from `terms` in the tangent at the parent's pose; weighted (c, n, 2, k + 1):
+    Jacobian and error of each observation, weighted."""
 
-    Also errors and Jacobians (in terms of the tangent at the parent's pose) of each observation, and both weighted
-    (c, n, 2, 4): Jacobian beside error.
-    """
+    out: Expansion
+    whole: Quadratics
+    terms: Terms
+    weighted: FloatArray
+
+
+def _expanded(
+    model: ScanModel, found: Assignments, poses: FloatArray, covariances: FloatArray, wider: FloatArray | None
+) -> _Expanded:
+    """At their parents among poses (h, 3), straight where they lead."""
     origin, covariance = poses[found.parent], covariances[found.parent]
-    step, shape = found.step, (len(found.step), 2 * found.matches.shape[1])
+    step = found.step
     each = np.arange(len(step))
     moved = bool(step.any())
     for _ in range(_ROUNDS):
         terms = model.terms(se2.retract(origin, step) if moved else origin, found.matches, wider)
         if moved:
-            jacobian = terms.jacobian @ se2.right_jacobian(step)[:, None]
-            terms = terms._replace(jacobian=jacobian, error=terms.error - (jacobian @ step[:, None, :, None])[..., 0])
-        weighted = terms.weight @ np.concatenate([terms.jacobian, terms.error[..., None]], axis=-1)
-        back = np.swapaxes(terms.jacobian.reshape(*shape, 3), -1, -2) @ weighted.reshape(*shape, 4)
-        constant = terms.log_peak.sum(axis=1) - 0.5 * (terms.error * weighted[..., 3]).sum(axis=(1, 2))
-        out = Expansion(found.parent, each, constant, -back[..., 3], back[..., :3], covariance)
+            jacobian = terms.jacobian[..., :3] @ se2.right_jacobian(step)[:, None]
+            terms.error[:] -= (jacobian @ step[:, None, :, None])[..., 0]
+            terms.jacobian[..., :3] = jacobian
+        whole, weighted = quadratics(terms)
+        out = Expansion(found.parent, each, *whole.of_pose(), covariance)
         if (np.abs(out.step - step) < _STRAIGHT).all():
             break
         step, moved = out.step, True
-    return out, terms, weighted
+    return _Expanded(out, whole, terms, weighted)
 
 
-def _without_one(
-    full: Expansion, matches: IntArray, terms: Terms, weighted: FloatArray
-) -> tuple[Expansion, IntArray] | None:
+def _without_one(found: _Expanded, matches: IntArray) -> tuple[Expansion, IntArray] | None:
     """The assignments of all that has its landmark, and those with one left out that is worth a doubt.
 
     None where one is so doubtful that more of them may be wrong.
     """
+    full, whole, terms, weighted = found
+    size = weighted.shape[-1] - 1
+    step, updated = full.step, full.updated
+    if size > 3:
+        prior = np.zeros((len(step), size, size))
+        prior[:, :3, :3] = full.covariance
+        prior[:, range(3, size), range(3, size)] = 1.0
+        updated = np.asarray(np.linalg.solve(np.eye(size) + prior @ whole.information, prior))
+        step = (updated @ whole.gradient[:, :, None])[..., 0]
     # how likely each is beside the others: the innovation without it, from the residual with it
-    left = terms.error + (terms.jacobian @ full.step[:, None, :, None])[..., 0]
-    explained = weighted[..., :3] @ full.updated[:, None] @ np.swapaxes(terms.jacobian, -1, -2)
+    left = terms.error + (terms.jacobian @ step[:, None, :, None])[..., 0]
+    explained = weighted[..., :size] @ updated[:, None] @ np.swapaxes(terms.jacobian, -1, -2)
     a, b = 1.0 - explained[..., 0, 0], -explained[..., 0, 1]
     c, d = -explained[..., 1, 0], 1.0 - explained[..., 1, 1]
     det = np.maximum(a * d - b * c, 1e-300)
@@ -201,16 +243,22 @@ def _without_one(
     row, seen = np.nonzero((gain < _FORGOTTEN) & ((matches >= 0).sum(axis=1) > 1)[:, None])
     error, jacobian, of_it = terms.error[row, seen], terms.jacobian[row, seen], weighted[row, seen]
     back = np.swapaxes(jacobian, -1, -2) @ of_it
-    constant = full.constant[row] - terms.log_peak[row, seen] + 0.5 * (error * of_it[..., 3]).sum(axis=1)
+    constant = whole.constant[row] - terms.log_peak[row, seen] + 0.5 * (error * of_it[..., size]).sum(axis=1)
+    if terms.of_shared is not None:
+        of_all = terms.of_shared.sum(axis=1)[row]
+        constant += log_shared(of_all - terms.of_shared[row, seen]) - log_shared(of_all)
+    fewer = Quadratics(
+        constant, whole.gradient[row] + back[..., size], whole.information[row] - back[..., :size]
+    ).of_pose()
     rows = np.concatenate([np.arange(len(matches)), row])
     others = matches[rows]
     others[np.arange(len(matches), len(rows)), seen] = -1
     return Expansion(
         full.parent[rows],
         np.arange(len(rows)),
-        np.concatenate([full.constant, constant]),
-        np.concatenate([full.gradient, full.gradient[row] + back[..., 3]]),
-        np.concatenate([full.information, full.information[row] - back[..., :3]]),
+        np.concatenate([full.constant, fewer.constant]),
+        np.concatenate([full.gradient, fewer.gradient]),
+        np.concatenate([full.information, fewer.information]),
         full.covariance[rows],
     ), others
 

@@ -13,6 +13,7 @@ from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 from fieldloc.scan_assignments import assign
 from fieldloc.scan_model import GATE, BoolArray, ScanModel
+from fieldloc.scan_quadratics import log_shared, quadratics
 
 _ROUNDS = 8
 _CONVERGED = 1e-4  # of the last step, in standard deviations squared
@@ -94,28 +95,28 @@ def _fitted(model: ScanModel, matches: IntArray) -> Fits:
     keep = (explained >= max(2, n - may_be_unexplained(n))) & ~twice
     matches, explained = matches[keep], explained[keep]
     poses = _aligned(model, matches)
-    shape = (len(matches), 2 * n)
     for _ in range(_ROUNDS):
         terms = model.terms(poses, matches, None)
-        weighted = terms.weight @ np.concatenate([terms.jacobian, terms.error[..., None]], axis=-1)
-        back = np.swapaxes(terms.jacobian.reshape(*shape, 3), -1, -2) @ weighted.reshape(*shape, 4)
-        information = back[..., :3]
+        constant, gradient, information = quadratics(terms)[0].of_pose()
         # two landmarks in one place leave the heading open: a step is needed all the same
         ridge = 1e-9 * np.trace(information, axis1=-2, axis2=-1)[:, None, None] * np.eye(3)
         covariance = np.asarray(np.linalg.inv(information + ridge))
-        step = -(covariance @ back[..., 3:])[..., 0]
-        last = np.sum(step * back[..., 3], axis=1) * -1.0
+        step = (covariance @ gradient[..., None])[..., 0]
+        last = np.sum(step * gradient, axis=1)
         step *= np.minimum(1.0, _MAX_TURN_RAD / np.maximum(np.abs(step[:, 2]), 1e-12))[:, None]
         if (last < _CONVERGED).all():
             break
         poses = se2.retract(poses, step)
-    chi2 = np.sum(terms.error * weighted[..., 3], axis=(1, 2))
+    peak = terms.log_peak.sum(axis=1)
+    if terms.of_shared is not None:
+        peak = peak + log_shared(terms.of_shared.sum(axis=1))
+    chi2 = 2.0 * (peak - constant)
     good = (last < _CONVERGED) & (chi2 < CHI2_LIMITS[np.minimum(explained - 2, len(CHI2_LIMITS) - 1)])
     heading_variance = covariance[:, 2, 2]
     volume = 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
     # a circle has no more headings than this
     volume -= 0.5 * np.log(np.maximum(heading_variance / (2 * np.pi), 1.0))
-    weights = terms.log_peak.sum(axis=1) - 0.5 * chi2 + volume
+    weights = constant + volume
     whole = heading_variance < _MAX_HEADING_SIGMA_RAD**2
     return Fits(matches, poses, covariance, weights, whole).take(np.flatnonzero(good))
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from fieldloc.pose import FloatArray
 from fieldloc.scan_coverage import Misses
-from fieldloc.scan_model import ScanModel
+from fieldloc.scan_model import BoolArray, Errors, ScanModel
+from fieldloc.scan_quadratics import log_shared
 
 _EXACT = 6  # observations, up to which those of one landmark are kept apart exactly
 _CONFLICT = 1e-3  # share of assignments that give a landmark away twice, below which they are left in
@@ -26,18 +27,77 @@ def log_sum(model: ScanModel, poses: FloatArray, log_floor: float, misses: Misse
     wider = model.widening(*np.nonzero(near))
     out = np.empty(len(poses))
     for part in parts:
-        gain = model.log_gains(poses[part], used, wider)
-        log_missed = (
-            np.zeros((len(gain[0]), len(model.positions))) if misses is None else misses.log_missed(poses[part])
-        )
-        gain -= log_missed[:, used]
-        ratio = np.where(near[:, None, used], np.exp(np.minimum(gain, 600.0)), 0.0)
+        errors = model.errors(poses[part], used)
+        log_missed = np.zeros((len(errors.d), len(model.positions)))
+        if misses is not None:
+            log_missed = misses.log_missed(poses[part])
+        may = near[:, None, used]
+        unseen = log_missed[:, used]
+        lower: FloatArray | float = 0.0
+        if model.shared is not None:
+            errors, lower = _without_shared(model, errors, wider, may, unseen)
+        ratio = _ratio(model.log_gains(errors, wider, model.covariance), may, unseen)
         # what is found holds all clutter too, and so does the floor
         found = _log_matchings(ratio)
         with np.errstate(divide="ignore"):
             some = np.log(-np.expm1(-np.maximum(found, 0.0))) + found
-        out[part] = np.logaddexp(log_floor, some + log_missed.sum(axis=1))
+        out[part] = np.logaddexp(log_floor, some + lower + log_missed.sum(axis=1))
     return out
+
+
+def _ratio(gain: FloatArray, may: BoolArray, unseen: FloatArray) -> FloatArray:
+    """(n, h, k) of densities of observations as landmarks to those as clutter."""
+    return np.where(may, np.exp(np.minimum(gain - unseen, 600.0)), 0.0)
+
+
+def _without_shared(
+    model: ScanModel, errors: Errors, wider: FloatArray | None, may: BoolArray, unseen: FloatArray
+) -> tuple[Errors, FloatArray]:
+    """Errors (n, h, k) without what the scan likeliest shares, from each pose; and (h,) the log of what the integral
+    over that has to its integrand there.
+
+    Of one assignment that is exact. Of several that are as likely it is taken as of one that is all of them, by their
+    shares: the approximation.
+    """
+    assert model.shared is not None
+    by_range, by_bearing = model.shared_widened.T[:, :, None, None]
+    ratio = _ratio(_whole_gains(model, errors, wider), may, unseen)
+    share = ratio / (1.0 + ratio.sum(axis=2, keepdims=True))
+    # of two observations the likelier one has the landmark
+    share /= np.maximum(share.sum(axis=0), 1.0)
+    (rr, rb, bb), (wrr, wrb, wbb) = model.noise_at(errors, wider, model.covariance)
+    weight = share / (wrr * wbb - wrb * wrb)
+    pull_r = (weight * (wbb * errors.range_m - wrb * errors.bearing_rad) * by_range).sum(axis=(0, 2))
+    pull_b = (weight * (wrr * errors.bearing_rad - wrb * errors.range_m) * by_bearing).sum(axis=(0, 2))
+    a = 1.0 + (weight * wbb * by_range**2).sum(axis=(0, 2))
+    b = -(weight * wrb * by_range * by_bearing).sum(axis=(0, 2))
+    d = 1.0 + (weight * wrr * by_bearing**2).sum(axis=(0, 2))
+    det = a * d - b * b
+    of_range, of_bearing = (b * pull_b - d * pull_r) / det, (b * pull_r - a * pull_b) / det
+    lower = -0.5 * (of_range**2 + of_bearing**2)
+    if wider is None and (model.wider_shared == 1.0).all():
+        lower -= 0.5 * np.log(det)
+    else:
+        weight = share / (rr * bb - rb * rb)
+        plain_r, plain_b = model.shared.T[:, :, None, None]
+        sums = (weight * bb * plain_r**2, -weight * rb * plain_r * plain_b, weight * rr * plain_b**2)
+        lower += log_shared(np.stack([one.sum(axis=(0, 2)) for one in sums], axis=-1))
+    return errors._replace(
+        range_m=errors.range_m + by_range * of_range[:, None],
+        bearing_rad=errors.bearing_rad + by_bearing * of_bearing[:, None],
+    ), lower
+
+
+def _whole_gains(model: ScanModel, errors: Errors, wider: FloatArray | None) -> FloatArray:
+    """(n, h, k) of each observation by itself, widened."""
+    assert model.shared is not None
+    if wider is None and (model.wider_shared == 1.0).all():
+        return model.log_gains(errors, None, model.whole_covariance)
+    own = model.covariance
+    if wider is not None:
+        root = np.sqrt(wider)
+        own = own * root[:, :, None] * root[:, None, :]
+    return model.log_gains(errors, None, own + model.shared_widened[:, :, None] ** 2 * np.eye(2))
 
 
 def _log_matchings(ratio: FloatArray) -> FloatArray:

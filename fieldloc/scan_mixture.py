@@ -10,16 +10,15 @@ Once it is known what the sensor covers, each assignment also has the probabilit
 others are not seen; what is all clutter or not right has that of a robot that may be anywhere.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from fieldloc import pose as se2
 from fieldloc.detection import Detection
-from fieldloc.factors import Factor, PoseFactor
+from fieldloc.factors import Factor, PoseFactor, sighted
 from fieldloc.field import FieldMap
-from fieldloc.fixes.landmarks import LandmarkFix, landmark_fix
 from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
@@ -28,8 +27,10 @@ from fieldloc.scan_assignments import expand, likeliest
 from fieldloc.scan_coverage import Misses
 from fieldloc.scan_factors import landmark_factors, seen_in_robot
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
+from fieldloc.scan_fix import scan_fixes
 from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
+from fieldloc.scan_noise import AS_STATED, ScanNoise
 
 _RING_STEPS = 24
 _NO_ERROR = 1e-3  # of a variance
@@ -115,17 +116,20 @@ class ScanMixture:
         """A pose where two or more landmarks determine it, agree, and leave a Gaussian; each by itself else."""
         matches = self.matches(solution)
         rows = np.flatnonzero(matches >= 0)
-        which = matches[rows]
-        scale = np.sqrt(self.model.wider[which])
-        covariance = self.scan.covariance[rows] * scale[:, :, None] * scale[:, None, :]
+        which, model, mount = matches[rows], self.model, self.scan.robot_from_sensor
+        wider = np.where((matches >= 0)[:, None], model.wider[matches], 1.0)
+        repeated = bool((wider > 1.0).any() or (model.wider_shared > 1.0).any())
         if len(rows) >= 2:
             limit = CHI2_LIMITS[min(len(rows) - 2, len(CHI2_LIMITS) - 1)]
-            fixes = self._fixes(rows, which, self.scan.covariance[rows])
+            fixes = scan_fixes(model, matches, mount, None)
             if len(fixes) == 1 and fixes[0].chi2 < limit:
-                if (scale > 1.0).any():
-                    fixes = self._fixes(rows, which, covariance)
+                if repeated:
+                    fixes = scan_fixes(model, matches, mount, wider)
                 if len(fixes) == 1 and fixes[0].nonlinearity <= _MAX_NONLINEARITY:
-                    return (PoseFactor.from_fix(self.stamp_ns, fixes[0]),)
+                    return (sighted(PoseFactor.from_fix(self.stamp_ns, fixes[0])),)
+        root = np.sqrt(wider[rows])
+        covariance = model.covariance[rows] * root[:, :, None] * root[:, None, :]
+        covariance += (model.shared_widened[rows] ** 2)[:, :, None] * np.eye(2)
         return landmark_factors(self.scan, self.field_map, rows, which, covariance)
 
     def matches(self, solution: int) -> IntArray:
@@ -136,15 +140,6 @@ class ScanMixture:
         """Map indices of what was seen, by the likeliest explanation for a robot at the pose (3,)."""
         matches = likeliest(self.model, se2.compose(pose, self.scan.robot_from_sensor))
         return tuple(matches[matches >= 0].tolist())
-
-    def _fixes(self, rows: IntArray, which: IntArray, covariance: FloatArray) -> tuple[LandmarkFix, ...]:
-        return landmark_fix(
-            self.field_map.positions[which],
-            self.scan.range_bearing[rows],
-            covariance,
-            self.field_map.positions_covariance[which],
-            self.scan.robot_from_sensor,
-        )
 
     def _intern(self, matches: IntArray) -> IntArray:
         """Ids (c,) of assignments (c, n)."""
@@ -200,9 +195,12 @@ def scan_mixture(
     detection: Detection,
     wider: FloatArray,
     misses: Misses | None = None,
+    noise: ScanNoise = AS_STATED,
+    wider_shared: FloatArray | None = None,
 ) -> ScanMixture | None:
-    """wider: (m, 2) by how much variances of range and bearing are to be widened, per landmark of the map. misses: None
-    where it is not known what the sensor covers.
+    """wider: (m, 2) by how much variances of range and bearing are to be widened, per landmark of the map;
+    wider_shared: (2,) the same of what all share, None for not at all. misses: None where it is not known what the
+    sensor covers.
 
     None where no landmark can be of the map. Left out are landmarks with a label that is not on the map, and numbers
     that no sensor can mean. ValueError for a covariance that is not positive definite.
@@ -226,6 +224,7 @@ def scan_mixture(
         covariance,
         scan.robot_from_sensor,
     )
+    own, shared = noise.of(covariance)
     m = len(field.landmarks)
     may = np.array([np.arange(m) == index[row] if index[row] is not None else np.ones(m, dtype=bool) for row in rows])
     x_min, y_min, x_max, y_max = field.bounds
@@ -234,13 +233,15 @@ def scan_mixture(
     log_clutter = np.full(len(rows), np.log(detection.clutter) + log_anywhere)
     model = ScanModel(
         used.range_bearing,
-        covariance,
+        own,
         may,
         field.positions,
-        _survey_that_matters(field.positions_covariance, used),
+        _survey_that_matters(field.positions_covariance, replace(used, covariance=own)),
         np.log1p(-detection.clutter) - np.log(may.sum(axis=1)),
         log_clutter,
         wider,
+        shared,
+        np.ones(2) if wider_shared is None else wider_shared,
     )
     named = field.positions[[i for i in (index[row] for row in rows) if i is not None]].reshape(-1, 2)
     moved = np.asarray(se2.apply(field.symmetries[:, None], named) - named)

@@ -1,9 +1,11 @@
 """A scan held against a map, in the sensor's frame: what each landmark seen says of a pose if it is this or that.
 
-Arrays over poses (h), observations (n) and landmarks of the map (m). A tangent is that of the sensor's pose.
+Arrays over poses (h), observations (n) and landmarks of the map (m). A tangent is that of the sensor's pose. Errors are
+each landmark's own, and two that all of a scan share, which are unknowns beside the pose: all ranges too long by so
+many standard deviations, all bearings turned by so many.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -14,6 +16,8 @@ from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray, wrap
 
 BoolArray = NDArray[np.bool_]
+Upper = tuple[FloatArray, FloatArray, FloatArray]
+"""(xx, xy, yy) of matrices (2, 2)."""
 
 GATE = 18.42  # chi-square, 2 degrees of freedom: a right one fails once in ten thousand
 NAMED_GATE = 36.0  # one whose label says which it is; what is worth less than clutter then counts as that
@@ -25,9 +29,9 @@ class Pairs(NamedTuple):
     """Observations and landmarks that may belong together, in order of pose and observation, (k,) each.
 
     x, y: where the landmark is, sensor's frame; ex, ey: less where it was seen, metres; xx, xy, yy: covariance of that,
-    widened. log_peak: log density of range and bearing without an error, relative to clutter, by the covariance that is
-    not widened, plus half the log determinant of (xx, xy, yy): less that of the whole error, it is a density again.
-    wider: (n, 2) by how much it is widened, None for not at all.
+    of its own error, widened. log_peak: log density of range and bearing without an error, relative to clutter, by the
+    covariance that is not widened, plus half the log determinant of (xx, xy, yy): less that of the whole error, it is a
+    density again. wider: (n, 2) by how much it is widened, None for not at all.
     """
 
     pose: IntArray
@@ -48,22 +52,40 @@ class Terms(NamedTuple):
     """Observations, as range and bearing, against one landmark each (c, n); zero where it is none.
 
     log_peak (c, n): density without an error, relative to clutter, by the covariance that is not widened. error
-    (c, n, 2); weight (c, n, 2, 2): inverse of its covariance, widened. jacobian (c, n, 2, 3).
+    (c, n, 2); weight (c, n, 2, 2): inverse of its covariance, widened. jacobian (c, n, 2, 3), or (c, n, 2, 5) with the
+    two shared errors, of unit variance. of_shared: (c, n, 3) what it says of these two by the covariance that is not
+    widened, upper triangle; None where nothing is shared.
     """
 
     log_peak: FloatArray
     error: FloatArray
     weight: FloatArray
     jacobian: FloatArray
+    of_shared: FloatArray | None
+
+
+class Errors(NamedTuple):
+    """Of observations as landmarks (k,) at poses (h, 3): range_m and bearing_rad (n, h, k); (ux, uy) the line of sight
+    in the field, d the distance, (h, k)."""
+
+    landmarks: IntArray
+    ux: FloatArray
+    uy: FloatArray
+    d: FloatArray
+    range_m: FloatArray
+    bearing_rad: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class ScanModel:
-    """range_bearing (n, 2), covariance (n, 2, 2) as LandmarkScan; may (n, m): which can be which, by their labels.
+    """range_bearing (n, 2) as LandmarkScan, covariance (n, 2, 2) of each one's own error; may (n, m): which can be
+    which, by their labels.
 
     positions (m, 2), survey (m, 2, 2) of the map, None where it is exact. log_match (n,): logarithm of the prior that
     an observation is of one given landmark of those it may be; log_clutter (n,) of prior and density if it is of none.
-    wider (m, 2): by how much variances of range and bearing are widened for each landmark.
+    wider (m, 2): by how much variances of range and bearing are widened for each landmark. shared: (n, 2) standard
+    deviations in range and bearing of what all share, the same for all bearings; None for nothing. wider_shared: (2,)
+    by how much these variances are widened.
     """
 
     range_bearing: FloatArray
@@ -74,6 +96,8 @@ class ScanModel:
     log_match: FloatArray
     log_clutter: FloatArray
     wider: FloatArray
+    shared: FloatArray | None = None
+    wider_shared: FloatArray = field(default_factory=lambda: np.ones(2))
 
     def pairs(self, poses: FloatArray, covariances: FloatArray) -> Pairs:
         """What may be what for robots at poses (h, 3) up to covariances (h, 3, 3), by errors that are not widened."""
@@ -104,6 +128,8 @@ class ScanModel:
             pose, row, landmark, seen = pose[keep], row[keep], landmark[keep], seen[:, keep]
             x, y, ex, ey = x[keep], y[keep], ex[keep], ey[keep]
         wider = self.widening(row, landmark)
+        if self.shared is not None:
+            seen = self._own[:, row]
         r = seen[2]
         survey = np.zeros((3, 1)) if self.survey is None else np.stack(_turned(self.survey[landmark], poses[pose, 2]))
         plain = seen[5:8] + r * (seen[11:14] + r * seen[8:11])
@@ -139,53 +165,84 @@ class ScanModel:
         bearing = np.arctan2(dy, dx) - poses[:, 2:]
         error = np.empty((*matches.shape, 2))
         error[..., 0], error[..., 1] = d - self.range_bearing[:, 0], wrap(bearing - self.range_bearing[:, 1])
-        jacobian = np.zeros((*matches.shape, 2, 3))
+        size = 3 if self.shared is None else 5
+        jacobian = np.zeros((*matches.shape, 2, size))
         c, s = np.cos(bearing), np.sin(bearing)
         jacobian[..., 0, 0], jacobian[..., 0, 1] = -c, -s
         jacobian[..., 1, 0], jacobian[..., 1, 1], jacobian[..., 1, 2] = s / d, -c / d, -1.0
         every = np.arange(matches.shape[1])
-        plain, (wrr, wrb, wbb) = self._noise(every, matches, dx / d, dy / d, d, wider)
+        plain, widened = self._noise(self.covariance, every, matches, dx / d, dy / d, d, wider)
+        det = _determinant(plain)
+        wrr, wrb, wbb = widened
         weight = np.empty((*matches.shape, 2, 2))
-        det = wrr * wbb - wrb * wrb
-        weight[..., 0, 0], weight[..., 1, 1] = wbb / det, wrr / det
-        weight[..., 0, 1] = weight[..., 1, 0] = -wrb / det
-        weight *= matched[..., None, None]
-        peak = self.log_match - self.log_clutter - _LOG_TWO_PI - 0.5 * np.log(plain)
-        return Terms(np.where(matched, peak, 0.0), error, weight, jacobian)
+        weight[..., 0, 0], weight[..., 1, 1] = wbb, wrr
+        weight[..., 0, 1] = weight[..., 1, 0] = -wrb
+        weight *= (matched / _determinant(widened))[..., None, None]
+        of_shared = None
+        if self.shared is not None:
+            by_range, by_bearing = self.shared.T
+            jacobian[..., 0, 3], jacobian[..., 1, 4] = self.shared_widened.T
+            rr, rb, bb = plain
+            of_shared = np.stack([by_range**2 * bb, -by_range * by_bearing * rb, by_bearing**2 * rr], axis=-1)
+            of_shared = of_shared * (matched / det)[..., None]
+        peak = self.log_match - self.log_clutter - _LOG_TWO_PI - 0.5 * np.log(det)
+        return Terms(np.where(matched, peak, 0.0), error, weight, jacobian, of_shared)
+
+    @cached_property
+    def shared_widened(self) -> FloatArray:
+        """(n, 2); zeros for nothing."""
+        if self.shared is None:
+            return np.zeros((len(self.range_bearing), 2))
+        return np.asarray(self.shared * np.sqrt(self.wider_shared))
 
     def near_any(self, poses: FloatArray) -> BoolArray:
         """(n, m): what may be what from one of the poses (h, 3) at least, by errors that are not widened."""
-        gain = self.log_gains(poses, np.arange(len(self.positions)), None)
+        errors = self.errors(poses, np.arange(len(self.positions)))
+        gain = self.log_gains(errors, None, self.whole_covariance)
         peak = self.log_match - self.log_clutter - _LOG_TWO_PI
-        det = self.covariance[:, 0, 0] * self.covariance[:, 1, 1] - self.covariance[:, 0, 1] ** 2
         best = np.max(gain, axis=1, initial=-np.inf)
-        return np.asarray(best > (peak - 0.5 * np.log(det) - 0.5 * self._gates)[:, None]) & self.may
+        edge = peak - 0.5 * np.log(np.linalg.det(self.whole_covariance)) - 0.5 * self._gates
+        return np.asarray(best > edge[:, None]) & self.may
 
-    def log_gains(self, poses: FloatArray, landmarks: IntArray, wider: FloatArray | None) -> FloatArray:
-        """(n, h, k) log density of observations as landmarks (k,), relative to clutter, at poses (h, 3)."""
+    def errors(self, poses: FloatArray, landmarks: IntArray) -> Errors:
+        """Of observations as landmarks (k,), at poses (h, 3)."""
         dx, dy = (self.positions[landmarks, k] - poses[:, k : k + 1] for k in (0, 1))
         d = np.maximum(np.hypot(dx, dy), _NEAREST_M)
-        error_r = d - self.range_bearing[:, :1, None]
-        error_b = (np.arctan2(dy, dx) - poses[:, 2:]) - self.range_bearing[:, 1:, None]
-        error_b -= 2 * np.pi * np.rint(error_b / (2 * np.pi))
-        row = np.arange(len(self.range_bearing))[:, None, None]
-        plain, (rr, rb, bb) = self._noise(row, landmarks, dx / d, dy / d, d, wider)
+        by_bearing = (np.arctan2(dy, dx) - poses[:, 2:]) - self.range_bearing[:, 1:, None]
+        by_bearing -= 2 * np.pi * np.rint(by_bearing / (2 * np.pi))
+        return Errors(landmarks, dx / d, dy / d, d, d - self.range_bearing[:, :1, None], by_bearing)
+
+    def log_gains(self, errors: Errors, wider: FloatArray | None, covariance: FloatArray) -> FloatArray:
+        """(n, h, k) log density of observations as landmarks, relative to clutter, by covariances (n, 2, 2)."""
+        plain, (rr, rb, bb) = self.noise_at(errors, wider, covariance)
+        error_r, error_b = errors.range_m, errors.bearing_rad
         det = rr * bb - rb * rb
         out = error_r * error_r * (bb / det)
         if rb.any():
             out -= error_r * error_b * (2.0 * rb / det)
-        error_b *= error_b
-        error_b *= rr / det
-        out += error_b
+        out += error_b * error_b * (rr / det)
         out *= -0.5
-        out += (self.log_match - self.log_clutter - _LOG_TWO_PI)[:, None, None] - 0.5 * np.log(plain)
+        peak = (self.log_match - self.log_clutter - _LOG_TWO_PI)[:, None, None]
+        out += peak - 0.5 * np.log(_determinant(plain))
         return np.asarray(out)
 
+    def noise_at(self, errors: Errors, wider: FloatArray | None, covariance: FloatArray) -> tuple[Upper, Upper]:
+        """Covariances as they are and widened, (n, h, k) or what broadcasts to it."""
+        row = np.arange(len(self.range_bearing))[:, None, None]
+        return self._noise(covariance, row, errors.landmarks, errors.ux, errors.uy, errors.d, wider)
+
     def _noise(
-        self, row: IntArray, landmark: IntArray, ux: FloatArray, uy: FloatArray, d: FloatArray, wider: FloatArray | None
-    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
-        """Of range and bearing (...), u the line of sight in the field: determinant as it is, covariance widened."""
-        rr, rb, bb = self.covariance[row, 0, 0], self.covariance[row, 0, 1], self.covariance[row, 1, 1]
+        self,
+        covariance: FloatArray,
+        row: IntArray,
+        landmark: IntArray,
+        ux: FloatArray,
+        uy: FloatArray,
+        d: FloatArray,
+        wider: FloatArray | None,
+    ) -> tuple[Upper, Upper]:
+        """Of range and bearing (...), u the line of sight in the field: covariance as it is, and widened."""
+        rr, rb, bb = covariance[row, 0, 0], covariance[row, 0, 1], covariance[row, 1, 1]
         wrr, wrb, wbb = rr, rb, bb
         if wider is not None:
             by_r, by_b = wider[row, 0], wider[row, 1]
@@ -198,7 +255,7 @@ class ScanModel:
             across = (uy * uy * sxx - 2.0 * ux * uy * sxy + ux * ux * syy) / d**2
             rr, rb, bb = rr + along, rb + mixed, bb + across
             wrr, wrb, wbb = wrr + along, wrb + mixed, wbb + across
-        return np.asarray(rr * bb - rb * rb), (wrr, wrb, wbb)
+        return (rr, rb, bb), (wrr, wrb, wbb)
 
     def _landmarks_from(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x and y (h, m) of the landmarks in the frames of the poses (h, 3)."""
@@ -208,11 +265,21 @@ class ScanModel:
 
     @cached_property
     def points(self) -> tuple[FloatArray, FloatArray]:
-        """Where landmarks were seen (n, 2), sensor's frame, and covariances (n, 2, 2) of that, not widened."""
-        seen = self._seen
-        r = seen[2]
-        xx, xy, yy = seen[5:8] + r * (seen[11:14] + r * seen[8:11])
-        return seen[:2].T, np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
+        """Where landmarks were seen (n, 2), sensor's frame, and covariances (n, 2, 2) of that, not widened, up to the
+        turn that they share."""
+        own = self._own if self.shared is None else _moments(self.range_bearing, self._with_shared([1.0, 0.0]))
+        r = own[2]
+        xx, xy, yy = own[5:8] + r * (own[11:14] + r * own[8:11])
+        return own[:2].T, np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
+
+    @cached_property
+    def whole_covariance(self) -> FloatArray:
+        """(n, 2, 2) of each by itself, with what it shares."""
+        return self.covariance if self.shared is None else self._with_shared([1.0, 1.0])
+
+    def _with_shared(self, share: list[float]) -> FloatArray:
+        assert self.shared is not None
+        return np.asarray(self.covariance + (self.shared**2 * share)[:, :, None] * np.eye(2))
 
     @cached_property
     def _gates(self) -> FloatArray:
@@ -224,18 +291,26 @@ class ScanModel:
 
     @cached_property
     def _seen(self) -> FloatArray:
-        """(14, n): where landmarks were seen x, y, range; variances of range and bearing; then (xx, xy, yy) each of
-        what comes of the range's variance, of the bearing's at one metre, and of what they share at one metre."""
-        r, b = self.range_bearing.T
-        c, s = np.cos(b), np.sin(b)
-        rr, rb, bb = self.covariance[:, 0, 0], self.covariance[:, 0, 1], self.covariance[:, 1, 1]
-        along = [c * c * rr, c * s * rr, s * s * rr]
-        across = [s * s * bb, -c * s * bb, c * c * bb]
-        mixed = [-2.0 * c * s * rb, (c * c - s * s) * rb, 2.0 * c * s * rb]
-        return np.stack([r * c, r * s, r, rr, bb, *along, *across, *mixed])
+        return self._own if self.shared is None else _moments(self.range_bearing, self.whole_covariance)
+
+    @cached_property
+    def _own(self) -> FloatArray:
+        return _moments(self.range_bearing, self.covariance)
 
 
-def _determinant(upper: FloatArray) -> FloatArray:
+def _moments(range_bearing: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(14, n): where landmarks were seen x, y, range; variances of range and bearing; then (xx, xy, yy) each of what
+    comes of the range's variance, of the bearing's at one metre, and of what they share at one metre."""
+    r, b = range_bearing.T
+    c, s = np.cos(b), np.sin(b)
+    rr, rb, bb = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    along = [c * c * rr, c * s * rr, s * s * rr]
+    across = [s * s * bb, -c * s * bb, c * c * bb]
+    mixed = [-2.0 * c * s * rb, (c * c - s * s) * rb, 2.0 * c * s * rb]
+    return np.stack([r * c, r * s, r, rr, bb, *along, *across, *mixed])
+
+
+def _determinant(upper: Upper | FloatArray) -> FloatArray:
     xx, xy, yy = upper
     return np.asarray(xx * yy - xy * xy)
 
@@ -246,7 +321,7 @@ def _upper(covariances: FloatArray) -> tuple[FloatArray, ...]:
     return tuple(flat[..., k] for k in (0, 1, 2, 4, 5, 8))
 
 
-def _turned(covariances: FloatArray, heading_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _turned(covariances: FloatArray, heading_rad: FloatArray) -> Upper:
     """(xx, xy, yy) of covariances (..., 2, 2) in field axes, in axes turned by the heading (...)."""
     xx, xy, yy = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
     c, s = np.cos(heading_rad), np.sin(heading_rad)
