@@ -21,6 +21,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.regions import Region, anywhere, region
 from fieldloc.resolution import Belief, sure
 from logs.kept import KeptAmbiguities
+from logs.pictures import has_pictures, picture_features
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
 from logs.schema import seconds
@@ -71,7 +72,9 @@ class Replay:
 
 
 def load_recording(log: LogFile, field: FieldMap | None = None, progress: Progress = unwatched) -> Recording:
-    """`field` stands in for the log's own map. FieldlocError where there is no map or nothing to localize with."""
+    """`field` stands in for the log's own map. Where the log holds pictures and nobody's word of what is seen in them,
+    they are looked at. FieldlocError where there is no map or nothing to localize with.
+    """
     field = log.field_map() if field is None else field
     if field is None:
         raise FieldlocError(f"{log.path}: holds no map; name one with --field, for example --field kidsize")
@@ -86,6 +89,10 @@ def load_recording(log: LogFile, field: FieldMap | None = None, progress: Progre
         late.append(newest_ns[kind] - measurement.stamp_ns)
         if len(measurements) % _PROGRESS_EVERY == 0:
             progress(len(measurements), total, "reading")
+    if not any(isinstance(measurement, (ImageFeatures, LandmarkScan)) for measurement in measurements) and has_pictures(
+        log
+    ):
+        measurements += picture_features(log, field, progress)
     if not any(not isinstance(measurement, Odometry) for measurement in measurements):
         topics = ", ".join(log.roles[role] for role in ("landmarks", "image_features", "compass", "initial_pose"))
         raise FieldlocError(f"{log.path}: nothing to localize with: no usable message on {topics}")

@@ -52,7 +52,7 @@ def _cut(options: argparse.Namespace) -> None:
     start_ns, end_ns = (None if after_s is None else first_ns + round(after_s * 1e9) for after_s in limits_s)
     with bar(options, "cutting") as progress:
         done = cut(container, out, start_ns, end_ns, options.topics, options.without, progress)
-    _tell(options, done)
+    tell(options, done)
 
 
 def _merge(options: argparse.Namespace) -> None:
@@ -61,7 +61,7 @@ def _merge(options: argparse.Namespace) -> None:
     out = output_file(options.output, *options.logs)
     with bar(options, "merging") as progress:
         done = merge([open_container(path) for path in options.logs], out, options.prefixes, progress)
-    _tell(options, done)
+    tell(options, done)
 
 
 def _repair(options: argparse.Namespace) -> None:
@@ -70,12 +70,12 @@ def _repair(options: argparse.Namespace) -> None:
     out = output_file(options.output or options.log.with_name(f"{options.log.stem}-repaired.mcap"), options.log)
     with bar(options, "repairing") as progress:
         done = repair(open_container(options.log), out, progress)
-    _tell(options, done)
+    tell(options, done)
     if not done.lost:
         say(options, f"{options.log}: nothing was broken")
 
 
-def _tell(options: argparse.Namespace, done: "Summary") -> None:
+def tell(options: argparse.Namespace, done: "Summary") -> None:
     warn(done.lost)
     files = f" and {done.attachments} files" if done.attachments else ""
     lasting = f", {(done.span_ns[1] - done.span_ns[0]) * 1e-9:.1f} s" if done.span_ns else ""

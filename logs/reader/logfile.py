@@ -10,12 +10,13 @@ from typing import NamedTuple, get_args
 from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
-from fieldloc.measurements import Measurement
+from fieldloc.measurements import CameraMount, Measurement
 from logs.foreign.interpreter import Interpreter, Span, Translation
-from logs.foreign.notes import Notes
+from logs.foreign.notes import Notes, complaint
 from logs.foreign.parts import ImagePart, VideoPart
 from logs.foreign.roles import PLAYERS
 from logs.foreign.settings import LogMapping
+from logs.foreign.surroundings import Unusable
 from logs.foreign.wires import known_type, own_schema
 from logs.reader.container import open_container
 from logs.reader.merged import Merged
@@ -190,6 +191,18 @@ class LogFile:
                 "no decoder here: record CompressedImage instead, or convert the video to it"
             )
         return self._interpreter.images(number)
+
+    def mount(self, image: ImagePart) -> CameraMount | None:
+        """Where the camera was when it took one of `images`. None, and counted as left out, where nothing says so."""
+        try:
+            return self._interpreter.surroundings.mount(image.frame, image.stamp_ns)
+        except Unusable as error:
+            return self.leave_out(image, str(error))
+
+    def leave_out(self, image: ImagePart, problem: str) -> None:
+        """One of `images` is of no use: `warnings` counts it."""
+        topic = next(iter(self._interpreter.roles.topics.get("image", ())), "pictures")
+        self._notes.leave_out(topic, complaint(topic, image.stamp_ns, problem))
 
     def log_times(self, wanted: Collection[Source] | None = None) -> Iterator[tuple[Source, int]]:
         """Log time of every message on these channels or on all, decoded by nobody, in the order of log time."""

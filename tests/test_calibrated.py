@@ -1,0 +1,116 @@
+"""What several logs of one robot say together, and as settings."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimators.calibrated import RobotCalibration, calibrated
+from estimators.config import Calibration, Config, Sensor
+from estimators.config_file import load_config
+from estimators.motion import OdometryCalibration
+from estimators.sensor import SensorCalibration
+from estimators.solution import Solution, global_sigmas
+from fieldloc.pose import FloatArray
+from logs.calibrating import CalibratedRobot, calibration_table, write_settings
+
+CONFIG = Config()
+SIZE = len(global_sigmas(CONFIG))
+
+
+def solution(values: FloatArray, covariance: FloatArray) -> Solution:
+    none = np.zeros((0, 3)), np.zeros((0, 3, 3))
+    parts = OdometryCalibration(*values[:6].tolist()), SensorCalibration(*values[6:].tolist())
+    return Solution(*none, *parts, covariance, np.zeros(0), np.zeros(0), 0.0)
+
+
+def posterior(true: FloatArray, rng: np.random.Generator, rows: int, config: Config = CONFIG) -> Solution:
+    """Of a log of so many linear measurements of unit noise of the eight numbers, under the settings' prior."""
+    sigmas = global_sigmas(config)
+    seen = rng.normal(size=(rows, SIZE)) / sigmas
+    heard = seen @ true + rng.normal(size=rows)
+    covariance = np.linalg.inv(np.diag(1.0 / sigmas**2) + seen.T @ seen)
+    return solution(covariance @ (seen.T @ heard), covariance)
+
+
+def by_name(robot: RobotCalibration) -> dict[str, tuple[float, float, bool]]:
+    return {one.name: (one.value, one.sigma, one.told) for one in robot.quantities}
+
+
+def test_two_logs_say_what_one_of_both_would() -> None:
+    rng = np.random.default_rng(1)
+    sigmas = global_sigmas(CONFIG)
+    true = rng.normal(size=SIZE) * sigmas
+    seen = rng.normal(size=(60, SIZE)) / sigmas
+    heard = seen @ true + rng.normal(size=60)
+    parts = []
+    for rows in (slice(0, 25), slice(25, 60)):
+        covariance = np.linalg.inv(np.diag(1.0 / sigmas**2) + seen[rows].T @ seen[rows])
+        parts.append(solution(covariance @ (seen[rows].T @ heard[rows]), covariance))
+    robot = calibrated(parts, CONFIG)
+    covariance = np.linalg.inv(np.diag(1.0 / sigmas**2) + seen.T @ seen)
+    found = np.array([one.value for one in robot.quantities])
+    np.testing.assert_allclose(found, covariance @ (seen.T @ heard), rtol=1e-9)
+    np.testing.assert_allclose(robot.covariance, covariance * max(1.0, robot.disagreement), rtol=1e-6, atol=1e-12)
+
+
+def test_logs_that_agree_as_well_as_they_claim_have_no_disagreement() -> None:
+    rng = np.random.default_rng(2)
+    true = rng.normal(size=SIZE) * global_sigmas(CONFIG)
+    values = [calibrated([posterior(true, rng, 40) for _ in range(5)], CONFIG).disagreement for _ in range(40)]
+    # chi-square per degree of freedom of 40 times 32: its mean is 1 within three times sqrt(2 / 1280)
+    assert abs(np.mean(values) - 1.0) < 3.0 * np.sqrt(2.0 / 1280)
+
+
+def test_logs_that_contradict_each_other_say_less() -> None:
+    rng = np.random.default_rng(3)
+    sigmas = global_sigmas(CONFIG)
+    one, other = posterior(sigmas, rng, 60), posterior(-sigmas, rng, 60)
+    together = calibrated([one, other], CONFIG)
+    assert together.disagreement > 3.0
+    agreed = calibrated([one, one], CONFIG)
+    assert all(a.sigma > 1.5 * b.sigma for a, b in zip(together.quantities, agreed.quantities, strict=True) if a.told)
+
+
+def test_what_a_log_says_nothing_of_stays_as_it_was() -> None:
+    sigmas = global_sigmas(CONFIG)
+    covariance = np.diag(sigmas**2)
+    covariance[0, 0] = 0.01**2
+    values = np.zeros(SIZE)
+    values[0], values[7] = 0.05, 0.01
+    found = by_name(calibrated([solution(values, covariance)], CONFIG))
+    assert found["scale"] == (pytest.approx(0.05), pytest.approx(0.01), True)
+    assert found["delay_s"] == (0.0, CONFIG.sensor.delay_sigma_s, False)
+
+
+def test_what_is_taken_as_known_is_not_touched() -> None:
+    config = replace(CONFIG, sensor=Sensor(0.0, 0.0, bearing_offset_rad=0.02))
+    covariance = np.diag(np.append(0.5 * config.calibration.sigmas(), [0.0, 0.0]) ** 2)
+    found = by_name(calibrated([solution(np.zeros(SIZE), covariance)], config))
+    assert found["bearing_offset_rad"] == (0.02, 0.0, False)
+
+
+def test_what_was_known_of_the_odometry_is_added_to_what_is_still_wrong_with_it() -> None:
+    config = replace(CONFIG, calibration=Calibration(scale=0.1))
+    covariance = np.diag((0.1 * global_sigmas(config)) ** 2)
+    values = np.zeros(SIZE)
+    values[0] = -0.03
+    assert by_name(calibrated([solution(values, covariance)], config))["scale"][0] == pytest.approx(0.07)
+
+
+def test_nothing_says_nothing() -> None:
+    with pytest.raises(ValueError, match="no solution"):
+        calibrated([], CONFIG)
+
+
+def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    true = rng.normal(size=SIZE) * global_sigmas(CONFIG)
+    done = CalibratedRobot(("a", "b"), calibrated([posterior(true, rng, 50)], CONFIG), ())
+    path = tmp_path / "robot.toml"
+    write_settings(path, done, CONFIG)
+    assert load_config(path) == done.robot.settings(CONFIG)
+    table = calibration_table(done.robot).splitlines()
+    assert len(table) == 1 + SIZE
+    assert table[0].split() == ["quantity", "value", "sigma", "sigma", "before", "unit", "log-likelihood"]
