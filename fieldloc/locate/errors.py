@@ -1,0 +1,182 @@
+"""How far, in pixels, what was seen is off what a camera at k states would see, and how that changes with the states.
+
+Everything is a plane through the camera (a line of the ground; the side of a post) that the rays to a line's or an
+edge's ends should lie in, a point in a direction (a post's foot, a mark), or a circle on the ground. Jacobians are
+those at no error: what the lens and the rays' own turning add is of second order. Columns as in `states`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc.locate.shape import Shape
+from fieldloc.locate.sight import Sight
+from fieldloc.locate.states import centres, cross, rotations, turn_axes
+from fieldloc.pose import FloatArray
+
+IntArray = NDArray[np.intp]
+_TINY = 1e-9
+_FAR_PX = 1e4  # what is off by more has no meaning as a number of pixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cameras:
+    """k states with what follows from them: field_from_camera (k, 3, 3), axes (k, 3, 3), centres (k, 3)."""
+
+    states: FloatArray
+    rotation: FloatArray
+    axes: FloatArray
+    centre: FloatArray
+
+    @staticmethod
+    def at(states: FloatArray) -> "Cameras":
+        return Cameras(states, rotations(states), turn_axes(states), centres(states))
+
+    def turned(self, vectors: FloatArray) -> FloatArray:
+        """Vectors of the camera (n, ..., 3) in the field: (k, n, ..., 3)."""
+        flat = vectors.reshape(-1, 3) @ np.swapaxes(self.rotation, 1, 2)
+        return np.asarray(flat.reshape(len(self.states), *vectors.shape))
+
+    def columns(self, by_centre: FloatArray, by_turn: FloatArray) -> FloatArray:
+        """(k, ..., 6) from the change with the centre (k, ..., 3), and with a turn about an axis a as a . by_turn."""
+        out = np.empty((*by_centre.shape[:-1], 6))
+        out[..., [0, 1, 3]] = by_centre
+        flat = by_turn.reshape(len(self.states), -1, 3) @ np.swapaxes(self.axes, 1, 2)
+        out[..., [2, 4, 5]] = flat.reshape(by_turn.shape)
+        return out
+
+
+def line_normals(cameras: Cameras, shape: Shape) -> FloatArray:
+    """(k, m, 3) of the planes through the camera and each line of the map, as long as the camera is off the line."""
+    dx, dy = shape.directions.T
+    away_x = shape.starts[:, 0] - cameras.centre[:, :1]
+    away_y = shape.starts[:, 1] - cameras.centre[:, 1:2]
+    height = cameras.centre[:, 2:]
+    out = np.empty((*away_x.shape, 3))
+    out[..., 0], out[..., 1], out[..., 2] = height * dy, -height * dx, away_x * dy - away_y * dx
+    return out
+
+
+def all_line_errors(
+    cameras: Cameras, sight: Sight, shape: Shape
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Of every seen end to every line of the map: error (k, l, 2, m) px, pixels per metre across (k, l, 2, m); where on
+    the ground the ends are (k, l, 2, 2), the ground's metres per pixel there (k, l, 2), below the horizon (k, l, 2)."""
+    rays, across = cameras.turned(sight.line_rays), cameras.turned(sight.line_across)
+    normals = np.swapaxes(line_normals(cameras, shape), 1, 2)
+    size = (len(cameras.states), len(sight.line_rays), 2, len(shape.starts))
+    off = (rays.reshape(size[0], -1, 3) @ normals).reshape(size)
+    slope = (across.reshape(size[0], -1, 3) @ normals).reshape(size)
+    slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
+    down = -rays[..., 2]
+    below = down > 1e-3
+    reach = cameras.centre[:, 2, None, None] / np.where(below, down, 1e-3)
+    ground = cameras.centre[:, None, None, :2] + reach[..., None] * rays[..., :2]
+    per_px = reach / (np.maximum(down, 1e-3) * sight.focal_px)
+    error = np.clip(off / slope, -_FAR_PX, _FAR_PX)
+    return error, np.abs(down[..., None] / slope), ground, per_px, below
+
+
+def line_errors(
+    cameras: Cameras, sight: Sight, shape: Shape, match: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of each seen line to its match (k, l): errors (k, l, 2), Jacobian (k, l, 2, 6), pixels per metre (k, l, 2)."""
+    rays, across = cameras.turned(sight.line_rays), cameras.turned(sight.line_across)
+    normals = line_normals(cameras, shape)[np.arange(len(match))[:, None], match][:, :, None, :]
+    slope = np.sum(across * normals, axis=-1)
+    slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
+    error = np.sum(rays * normals, axis=-1) / slope
+    direction = np.zeros((*match.shape, 1, 3))
+    direction[..., 0, :2] = shape.directions[match]
+    scale = slope[..., None]
+    jacobian = cameras.columns(-cross(direction, rays) / scale, cross(rays, normals) / scale)
+    return np.clip(error, -_FAR_PX, _FAR_PX), jacobian, np.abs(rays[..., 2] / slope)
+
+
+def post_errors(
+    cameras: Cameras, sight: Sight, shape: Shape, match: IntArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Of each seen post to landmarks (k, p, q): errors (k, p, q, 6) of the four ends of its edges and its foot's two
+    coordinates, Jacobians (k, p, q, 6, 6), and whether the landmark stands before the camera. A foot that is not seen
+    is right."""
+    count, posts, choices = match.shape
+    away = shape.posts[match] - cameras.centre[:, None, None, :2]
+    far2 = np.sum(away * away, axis=-1)
+    far = np.sqrt(np.maximum(far2, 1e-6))
+    towards = away / far[..., None]
+    radius = shape.radii[match]
+    if shape.square:  # its silhouette is as wide as the square's corners are apart
+        radius = radius * np.abs(towards).sum(axis=-1)
+    sine = np.minimum(radius / far, 0.9)
+    cosine = np.sqrt(1.0 - sine * sine)
+    side = np.array([1.0, 1.0, -1.0, -1.0])
+    # the edges' directions: that of the post turned by +- asin(radius / distance)
+    ex = towards[..., 0, None] * cosine[..., None] - side * towards[..., 1, None] * sine[..., None]
+    ey = towards[..., 1, None] * cosine[..., None] + side * towards[..., 0, None] * sine[..., None]
+    rays = cameras.turned(sight.post_rays)[:, :, None]
+    across = cameras.turned(sight.post_across)[:, :, None]
+    slope = across[..., 1] * ex - across[..., 0] * ey
+    slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
+    ahead = rays[..., 0] * ex + rays[..., 1] * ey
+    error = np.empty((count, posts, choices, 6))
+    error[..., :4] = np.clip((rays[..., 1] * ex - rays[..., 0] * ey) / slope, -_FAR_PX, _FAR_PX)
+    normal = np.zeros((*ex.shape, 3))
+    normal[..., 0], normal[..., 1] = -ey, ex
+    by_direction = -ahead / slope
+    widening = (side * (sine / (cosine * far))[..., None])[..., None] * towards[..., None, :]
+    turning = np.stack([away[..., 1], -away[..., 0]], axis=-1)[..., None, :] / np.maximum(far2, 1e-6)[..., None, None]
+    by_centre = np.zeros((*ex.shape, 3))
+    by_centre[..., :2] = by_direction[..., None] * (turning + widening)
+    jacobian = np.zeros((count, posts, choices, 6, 6))
+    jacobian[..., :4, :] = cameras.columns(by_centre, cross(rays, normal) / slope[..., None])
+
+    foot = np.zeros((count, posts, choices, 3))
+    foot[..., :2] = away - radius[..., None] * towards
+    foot[..., 2] = -cameras.centre[:, 2, None, None]
+    off, by_state, before = point_errors(cameras, sight.feet.rays, sight.feet.by_ray, foot)
+    known = sight.feet.known[:, None, None]
+    error[..., 4:] = np.where(known, off, 0.0)
+    jacobian[..., 4:, :] = np.where(known[..., None], by_state, 0.0)
+    return error, jacobian, (ahead > 0.0).all(axis=-1) & (before | ~sight.feet.known[:, None])
+
+
+def point_errors(
+    cameras: Cameras, rays: FloatArray, by_ray: FloatArray, away: FloatArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Of points seen in rays (n, 3), pixels' change with which is by_ray (n, 2, 3), to points (k, n, q, 3) off the
+    camera, field axes: errors (k, n, q, 2), Jacobians (k, n, q, 2, 6), whether they are before the camera."""
+    along = np.sum(cameras.turned(rays)[:, :, None] * away, axis=-1)
+    before = along > 1e-3
+    scale = np.where(before, along, 1.0)[..., None, None]
+    in_field = cameras.turned(by_ray)[:, :, None] / scale  # (k, n, q, 2, 3)
+    error = np.where(before[..., None], (in_field @ away[..., None])[..., 0], _FAR_PX)
+    by_turn = -cross(away[..., None, :], in_field)  # in_field . (a x away) = a . (away x in_field), and it turns back
+    return np.clip(error, -_FAR_PX, _FAR_PX), cameras.columns(-in_field, by_turn), before
+
+
+def circle_errors(cameras: Cameras, sight: Sight, circle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of the circle's points to a circle (3,) of the map: errors (k, c), Jacobian (k, c, 6), pixels per metre (k, c);
+    what is above the horizon is off by far."""
+    rays = cameras.turned(sight.circle_rays)
+    down = -rays[..., 2]
+    below = down > 1e-3
+    down = np.where(below, down, 1.0)
+    height = cameras.centre[:, 2:]
+    level = rays[..., :2] / down[..., None]
+    away = cameras.centre[:, None, :2] + height[..., None] * level - circle[:2]
+    far = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-6)
+    radial = away / far[..., None]
+    outward = np.sum(radial * level, axis=-1)
+    by_ray = np.empty_like(rays)
+    by_ray[..., :2] = radial
+    by_ray[..., 2] = outward
+    by_ray *= (height / down)[..., None]
+    by_pixel = np.swapaxes(sight.circle_by_pixel, 1, 2)  # (c, 2, 3)
+    slope = np.einsum("kci,kcpi->kcp", by_ray, cameras.turned(by_pixel))
+    scale = np.maximum(np.hypot(slope[..., 0], slope[..., 1]), _TINY)
+    by_centre = np.empty_like(rays)
+    by_centre[..., :2], by_centre[..., 2] = radial, outward
+    jacobian = cameras.columns(by_centre / scale[..., None], cross(rays, by_ray) / scale[..., None])
+    error = np.where(below, np.clip((far - circle[2]) / scale, -_FAR_PX, _FAR_PX), _FAR_PX)
+    return error, np.where(below[..., None], jacobian, 0.0), 1.0 / scale

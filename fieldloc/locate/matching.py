@@ -1,0 +1,180 @@
+"""Which of the map's things each thing seen is, at k states: log density as that, less log density as none of them.
+
+What is none of the map's is anywhere: a line's two ends across it anywhere in the picture, a post's edges and foot too.
+So gains of different things add up and compare, and a gain below zero is no match.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fieldloc.locate.errors import Cameras, IntArray, all_line_errors, circle_errors, post_errors
+from fieldloc.locate.settings import LocateSettings
+from fieldloc.locate.shape import Shape
+from fieldloc.locate.sight import Sight
+from fieldloc.pose import FloatArray
+
+_LOG_2PI = float(np.log(2.0 * np.pi))
+_OVER_M, _OVER_PX = 0.08, 4.0  # by how much an end is found beyond the line's
+_WIDTH_PX, _WIDTH = 1.0, 0.2  # how far off a line's width may be: blur, and lines laid by hand
+_LOG_WIDTH = -float(np.log(30.0))  # any width up to this
+_LOG_POST = -float(np.log(640.0 * 60.0 * 20.0 * 20.0))  # place, width, and the lean of either edge
+_LOG_FOOT = -float(np.log(480.0 * 10.0))
+_CIRCLE_NUMBERS = 5.0  # of an ellipse: so many points of it say something of their own
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """lines (k, l), posts (k, p), marks (k, m): row of the map or -1; circle (k,) whether it is the map's `circles`.
+    gains of each of these, zero where there is no match."""
+
+    lines: IntArray
+    line_gains: FloatArray
+    posts: IntArray
+    post_gains: FloatArray
+    circle: IntArray
+    circle_gains: FloatArray
+
+    @property
+    def gains(self) -> FloatArray:
+        return np.asarray(self.line_gains.sum(axis=1) + self.post_gains.sum(axis=1) + self.circle_gains)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """widen_px: how much farther off everything may be than noise makes it, while states are still rough.
+    scale: (k,) of the model's noise, as a variance."""
+
+    sight: Sight
+    shape: Shape
+    settings: LocateSettings
+    widen_px: float
+    scale: FloatArray
+
+    @cached_property
+    def _post_px2(self) -> FloatArray:
+        """(k, p): of one edge, from the model alone."""
+        sight = self.sight
+        left, right = sight.post_rays[:, :2].mean(axis=1), sight.post_rays[:, 2:].mean(axis=1)
+        width_rad = np.linalg.norm(left - right, axis=-1)
+        diameter = 2.0 * float(np.mean(self.shape.radii)) if len(self.shape.radii) else 0.1
+        map_px = self.settings.map_m * width_rad * sight.focal_px / diameter
+        return self._of(map_px[None])
+
+    def _of(self, map_px: FloatArray) -> FloatArray:
+        scale = self.scale.reshape(-1, *(1,) * (map_px.ndim - 1))
+        return np.asarray(scale * (self.settings.model_px**2 + map_px**2) + self.widen_px**2)
+
+    def of_lines(self, px_per_m: FloatArray) -> FloatArray:
+        """(k, l, 2, ...) px^2 of the model alone."""
+        return self._of(self.settings.map_m * px_per_m)
+
+    def of_circle(self, px_per_m: FloatArray) -> FloatArray:
+        return np.asarray(self._of(self.settings.map_m * px_per_m) + self.sight.circle_sigmas**2)
+
+    @cached_property
+    def of_posts(self) -> FloatArray:
+        """(k, p, 6, 6) covariance of a post's six numbers; unit variances in place of a foot that is not seen."""
+        sight = self.sight
+        model = self._post_px2
+        out = np.zeros((*model.shape, 6, 6))
+        out[..., :4, :4] = sight.post_noise + model[..., None, None] * np.eye(4)
+        foot = sight.feet.noise + model[..., None, None] * np.eye(2)
+        out[..., 4:, 4:] = np.where(sight.feet.known[:, None, None], foot, np.eye(2))
+        return out
+
+
+def match(cameras: Cameras, noise: Noise) -> Matches:
+    lines, line_gains = _match_lines(cameras, noise)
+    posts, post_gains = _match_posts(cameras, noise)
+    circle, circle_gains = _match_circle(cameras, noise)
+    return Matches(lines, line_gains, posts, post_gains, circle, circle_gains)
+
+
+def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
+    sight, shape, settings = noise.sight, noise.shape, noise.settings
+    count, lines = len(cameras.states), len(sight.line_rays)
+    if not lines or not len(shape.starts):
+        return np.full((count, lines), -1), np.zeros((count, lines))
+    error, px_per_m, ground, m_per_px, below = all_line_errors(cameras, sight, shape)
+    model = noise.of_lines(px_per_m)
+    a = model[:, :, 0] + sight.line_noise[:, 0, 0, None]
+    b = sight.line_noise[:, 0, 1, None]
+    c = model[:, :, 1] + sight.line_noise[:, 1, 1, None]
+    determinant = a * c - b * b
+    first, second = error[:, :, 0], error[:, :, 1]
+    misfit = (c * first * first - 2.0 * b * first * second + a * second * second) / determinant
+    along = ground @ shape.directions.T - np.sum(shape.starts * shape.directions, axis=1)
+    over = np.maximum(np.maximum(-along, along - shape.lengths), 0.0)
+    over = over / (_OVER_M + (_OVER_PX + noise.widen_px) * m_per_px[..., None])
+    misfit = misfit + np.minimum((over * over).sum(axis=2), 1e6)
+    log_density = -0.5 * misfit - 0.5 * np.log(determinant) - _LOG_2PI
+    log_density = log_density + _widths_fit(noise, px_per_m)
+    gain = np.where(below.all(axis=2)[..., None], log_density, -np.inf)
+    best = np.argmax(gain, axis=2)
+    log_clutter = -2.0 * np.log(sight.camera.height_px)
+    log_odds = np.log((1.0 - settings.false_line) / settings.false_line) - np.log(len(shape.starts))
+    gains = np.take_along_axis(gain, best[..., None], axis=2)[..., 0] - log_clutter + log_odds
+    right = gains > 0.0
+    return np.where(right, best, -1), np.where(right, gains, 0.0)
+
+
+def _widths_fit(noise: Noise, px_per_m: FloatArray) -> FloatArray:
+    """(k, l, m) log density of the widths, less that of any width; zero where they are not known."""
+    sight = noise.sight
+    known = np.asarray(np.isfinite(sight.widths))
+    seen, sigma = np.where(known, sight.widths, 0.0), np.where(known, sight.width_sigmas, 1.0)
+    expected = np.minimum(px_per_m * noise.shape.line_width_m, 1e3)
+    variance = (sigma**2 + _WIDTH_PX**2)[..., None] + (_WIDTH * expected) ** 2
+    fit = -0.5 * (seen[..., None] - expected) ** 2 / variance - 0.5 * np.log(2.0 * np.pi * variance) - _LOG_WIDTH
+    # both ends' widths are one and the same error: their mean says it
+    ends = np.maximum(np.sum(known, axis=1), 1)
+    return np.asarray(np.where(known[..., None], fit, 0.0).sum(axis=2) / ends.reshape(-1, 1))
+
+
+def _match_posts(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
+    sight, shape, settings = noise.sight, noise.shape, noise.settings
+    count, posts, marks = len(cameras.states), len(sight.post_rays), len(shape.posts)
+    if not posts or not marks:
+        return np.full((count, posts), -1), np.zeros((count, posts))
+    choices = np.broadcast_to(np.arange(marks), (count, posts, marks))
+    error, _, ahead = post_errors(cameras, sight, shape, choices)
+    precision = np.linalg.inv(noise.of_posts)
+    misfit = np.sum((error @ precision) * error, axis=-1)
+    numbers = np.where(sight.feet.known, 6.0, 4.0)
+    log_norm = 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * numbers * _LOG_2PI
+    log_clutter = _LOG_POST + np.where(sight.feet.known, _LOG_FOOT, 0.0)
+    log_odds = np.log((1.0 - settings.false_post) / settings.false_post) - np.log(marks)
+    gain = (log_norm - log_clutter + log_odds)[..., None] - 0.5 * misfit
+    gain = np.where(ahead, gain, -np.inf)
+    best = np.argmax(gain, axis=2)
+    gains = np.take_along_axis(gain, best[..., None], axis=2)[..., 0]
+    # no two posts are the same landmark: the better one is
+    for post in range(posts):
+        for other in range(post):
+            same = best[:, post] == best[:, other]
+            worse = same & (gains[:, post] <= gains[:, other])
+            gains[worse, post] = -np.inf
+            gains[same & ~worse, other] = -np.inf
+    right = gains > 0.0
+    return np.where(right, best, -1), np.where(right, gains, 0.0)
+
+
+def _match_circle(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
+    sight, settings = noise.sight, noise.settings
+    count, points = len(cameras.states), len(sight.circle_rays)
+    best, gains = np.full(count, -1), np.zeros(count)
+    if not points:
+        return best, gains
+    log_odds = np.log((1.0 - settings.false_circle) / settings.false_circle)
+    log_clutter = -np.log(sight.camera.height_px)
+    numbers = min(_CIRCLE_NUMBERS, float(points))
+    for row, circle in enumerate(noise.shape.circles):
+        error, _, px_per_m = circle_errors(cameras, sight, circle)
+        variance = noise.of_circle(px_per_m)
+        each = -0.5 * np.minimum(error * error / variance, 1e6) - 0.5 * (np.log(variance) + _LOG_2PI) - log_clutter
+        gain = numbers * each.mean(axis=1) + log_odds
+        better = gain > gains
+        best, gains = np.where(better, row, best), np.where(better, gain, gains)
+    return best, gains
