@@ -24,7 +24,8 @@ _SHARE_OF_PEAK = 0.05  # hues as rare as this beside the peak are not turf
 _LEAST_SHARE = 0.02  # of the picture, for there to be a field at all
 _LEAST_PART = 0.001  # of the picture: smaller connected parts are specks
 _SHARE_OF_SATURATION = 0.35  # of the turf's median, below which it is something else
-_SHARE_OF_CHROMA = 0.2  # of the turf's median; deep shadow is at about a quarter
+_SHARE_OF_CHROMA = 0.35  # of the turf's median; deep shadow is at about a half
+_DENSE = 0.6  # share of the pixels around one in turf that have its colour
 _NARROW = 0.04  # of the width: what rises above the border over fewer columns is no turf
 _RUN = 3  # rows of the reduced picture: a column with fewer in turf shows none
 
@@ -107,7 +108,7 @@ def _coloured(small: UInt8Array) -> UInt8Array:
 
 def _large_parts(coloured: UInt8Array) -> Mask:
     """Without specks of the colour: grass is dense, and a field's parts between lines and shadows are large."""
-    dense = cv2.medianBlur(coloured, 5)
+    dense = np.asarray(cv2.boxFilter(coloured, -1, (7, 7)) > 255 * _DENSE, dtype=np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=4, ltype=cv2.CV_16U)
     large = stats[:, cv2.CC_STAT_AREA] >= _LEAST_PART * coloured.size
     large[0] = False

@@ -1,0 +1,73 @@
+"""White runs that follow each other from one scan line to the next: the pieces that lines and circles are made of."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc.pose import FloatArray
+from fieldloc.vision.turf import Mask
+from fieldloc.vision.white import SCAN_STEP_PX, Runs
+
+_STEEPEST = 1.3  # along the scan line for one across; steeper pieces are found by the other scan lines
+_WIDTHS = 2.5  # ratio of the widths of two runs of one line
+_SKIPPED = 3  # scan lines that a chain may miss
+
+
+def link(runs: Runs) -> NDArray[np.intp]:
+    """(n,) the number of the chain each run is in. Every run has one predecessor and one successor at most."""
+    count = len(runs.scan)
+    after, before = np.full(count, -1), np.full(count, -1)
+    # One sorted key for (scan line, place): neighbours in another scan line are found by bisection for all at once.
+    stride = 1e6
+    order = np.lexsort((runs.middle_px, runs.scan))
+    keys = (runs.scan * stride + runs.middle_px)[order]
+    width = runs.last_px - runs.first_px
+    for skip in range(1, _SKIPPED + 1):
+        wanted = runs.scan * stride + skip * stride + runs.middle_px
+        place = np.searchsorted(keys, wanted)
+        near = order[np.clip(place[:, None] + [-1, 0], 0, count - 1)]
+        away = np.abs(runs.middle_px[near] - runs.middle_px[:, None]) + stride * (
+            runs.scan[near] != runs.scan[:, None] + skip
+        )
+        best = near[np.arange(count), away.argmin(axis=1)]
+        ratio = width[best] / width
+        fits = (away.min(axis=1) <= _STEEPEST * SCAN_STEP_PX * skip) & (ratio < _WIDTHS) & (ratio > 1.0 / _WIDTHS)
+        fits &= (after < 0) & (before[best] < 0)
+        # Of several that want the same successor the nearest has it.
+        wanting = np.flatnonzero(fits)
+        wanting = wanting[np.argsort(-away.min(axis=1)[wanting], kind="stable")]
+        before[best[wanting]] = wanting
+        held = before[best[wanting]] == wanting
+        after[wanting[held]] = best[wanting[held]]
+    return _roots(before)
+
+
+def _roots(before: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The first run of every run's chain, by doubling the steps back."""
+    root = np.where(before < 0, np.arange(len(before)), before)
+    while (further := root[root]).tolist() != root.tolist():
+        root = further
+    return root
+
+
+def chains_of(runs: Runs, down: bool, fewest: int) -> list[FloatArray]:
+    """Every chain of at least that many runs as (m, 3): u, v of the runs' middles and their width, in scan order."""
+    if len(runs.scan) == 0:
+        return []
+    roots = link(runs)
+    order = np.lexsort((runs.scan, roots))
+    borders = np.flatnonzero(np.diff(roots[order])) + 1
+    along, at_px = runs.middle_px, runs.at_px
+    uv = np.stack([at_px, along] if down else [along, at_px], axis=1)
+    table = np.column_stack([uv, runs.last_px - runs.first_px])
+    return [table[part] for part in np.split(order, borders) if len(part) >= fewest]
+
+
+def parts(chains: list[FloatArray], masks: list[Mask], wanted: bool) -> list[FloatArray]:
+    """The parts of chains where their masks are as wanted."""
+    out = []
+    for chain, mask in zip(chains, masks, strict=True):
+        borders = np.flatnonzero(np.diff(mask)) + 1
+        for part, own in zip(np.split(chain, borders), np.split(mask, borders), strict=True):
+            if own[0] == wanted:
+                out.append(part)
+    return out

@@ -1,0 +1,172 @@
+"""The centre circle among chains of white runs: an ellipse through what bends.
+
+It is sought before the lines, as its arcs, taken for lines, are the commonest wrong line. An ellipse is fitted to each
+of the longest bent chains and to each two of them; the one that explains most of all chains is fitted again to those.
+The fit is the direct least squares one that is always an ellipse (Fitzgibbon, Pilu, Fisher 1999, in the stable form of
+Halir and Flusser 1998), each point weighted by the inverse gradient of the conic, so that it counts by its distance.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc.pose import FloatArray
+from fieldloc.vision.turf import Mask
+
+View = Callable[
+    [FloatArray], tuple[Mask, Mask]
+]  # which points (n, 2) are in the picture, which are below the field's border
+
+_ARCS = 4  # the longest bent chains that are tried, alone and in pairs
+_LEAST_SAGITTA_PX = 1.5  # of a bent chain
+_NEAR_PX = 1.5  # from the ellipse is on it, beside the next share of the line's width
+_NEAR_SHARE = 0.15
+_BINS = 48  # of the ellipse's angle
+_LEAST_SEEN = 0.25  # share of the visible bins that are explained
+_LEAST_BINS = 9
+_THINNEST = 2.0  # the shorter semi-axis to how near is on the ellipse: a thinner one might be a straight line
+_LARGEST_PX = 1e4  # semi-axis
+_BESIDE = 0.1  # share of the ellipse in the picture that may be above the field's border
+_REFINED = 2  # ellipses that are fitted again to all they explain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ellipse:
+    """conic: (6,) a..f of a x^2 + b x y + c y^2 + d x + e y + f = 0 in x, y = (point - origin) / scale."""
+
+    conic: FloatArray
+    origin: FloatArray
+    scale: float
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """(n,) from the ellipse, positive outside, to first order (Sampson)."""
+        value, gradient = self._value(points)
+        return np.asarray(self.scale * value / np.maximum(np.hypot(gradient[:, 0], gradient[:, 1]), 1e-9))
+
+    def weights(self, points: FloatArray) -> FloatArray:
+        _, gradient = self._value(points)
+        return np.asarray(1.0 / np.maximum(np.hypot(gradient[:, 0], gradient[:, 1]), 1e-9))
+
+    def axes(self) -> tuple[FloatArray, FloatArray]:
+        """Centre (2,) and semi-axes (2, 2), each a row, the longer first."""
+        a, b, c, d, e, f = self.conic
+        quadratic = np.array([[a, 0.5 * b], [0.5 * b, c]])
+        centre = -0.5 * np.linalg.solve(quadratic, np.array([d, e]))
+        level = centre @ quadratic @ centre - f
+        values, vectors = np.linalg.eigh(quadratic / level)
+        lengths = self.scale / np.sqrt(np.maximum(values, 1e-18))
+        return centre * self.scale + self.origin, np.asarray(vectors.T * lengths[:, None])
+
+    def _value(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y = ((points - self.origin) / self.scale).T
+        a, b, c, d, e, f = self.conic
+        value = (a * x + b * y + d) * x + (c * y + e) * y + f
+        return value, np.stack([2.0 * a * x + b * y + d, b * x + 2.0 * c * y + e], axis=1)
+
+
+def fit_ellipse(points: FloatArray, weights: FloatArray | None = None) -> Ellipse | None:
+    """The ellipse through at least six points (n, 2); None where they fix none. Positive outside."""
+    if len(points) < 6:
+        return None
+    origin = points.mean(axis=0)
+    scale = float(np.abs(points - origin).max()) or 1.0
+    x, y = ((points - origin) / scale).T
+    root = np.ones(len(points)) if weights is None else weights
+    square = np.stack([x * x, x * y, y * y]) * root
+    plain = np.stack([x, y, np.ones_like(x)]) * root
+    scatter, mixed, low = square @ square.T, square @ plain.T, plain @ plain.T
+    try:
+        back = -np.linalg.solve(low, mixed.T)
+        _, vectors = np.linalg.eig(np.array([[0, 0, 0.5], [0, -1, 0], [0.5, 0, 0]]) @ (scatter + mixed @ back))
+    except np.linalg.LinAlgError:
+        return None
+    vectors = np.real(vectors)
+    good = 4.0 * vectors[0] * vectors[2] - vectors[1] ** 2
+    best = int(np.argmax(good))
+    if not good[best] > 0.0:
+        return None
+    top = vectors[:, best] * np.sign(vectors[0, best])
+    return Ellipse(np.concatenate([top, back @ top]), origin, scale)
+
+
+def find_ellipse(chains: list[FloatArray], view: View) -> tuple[Ellipse, list[Mask]] | None:
+    """The circle's ellipse and per chain (m, 3) which of its points are on it; None without one."""
+    arcs = sorted((chain for chain in chains if _is_bent(chain)), key=len, reverse=True)[:_ARCS]
+    if not arcs:
+        return None
+    table = np.concatenate(chains)
+    points = table[:, :2]
+    near = _NEAR_PX + _NEAR_SHARE * table[:, 2]
+    tried = []
+    for first in range(len(arcs)):
+        for second in range(first, len(arcs)):
+            chosen = arcs[first] if first == second else np.concatenate([arcs[first], arcs[second]])
+            ellipse = fit_ellipse(chosen[:, :2])
+            if ellipse is not None:
+                tried.append((np.count_nonzero(np.abs(ellipse.distance(points)) < near), ellipse))
+    tried.sort(key=lambda one: one[0], reverse=True)
+    best, most = None, 0
+    for _, start in tried[:_REFINED]:
+        refined: Ellipse | None = start
+        for _ in range(4):
+            if refined is None:
+                break
+            on = np.abs(refined.distance(points)) < near
+            count = int(np.count_nonzero(on))
+            if count > most and _is_seen(refined, points[on], near[on], view):
+                best, most = refined, count
+            refined = fit_ellipse(points[on], refined.weights(points[on]))
+    if best is None:
+        return None
+    on = np.abs(best.distance(points)) < near
+    return best, np.split(on, np.cumsum([len(chain) for chain in chains])[:-1])
+
+
+def _is_bent(chain: FloatArray) -> bool:
+    """Whether a parabola over the chord explains what a straight line does not."""
+    if len(chain) < 8:
+        return False
+    chord = chain[-1, :2] - chain[0, :2]
+    length = float(np.hypot(chord[0], chord[1]))
+    if length < 1.0:
+        return False
+    along = chord / length
+    relative = chain[:, :2] - chain[0, :2]
+    place = 2.0 * (relative @ along) / length - 1.0
+    off = relative @ np.array([-along[1], along[0]])
+    basis = np.stack([np.ones_like(place), place, place * place])
+    sizes = np.linalg.solve(basis @ basis.T + 1e-9 * np.eye(3), basis @ off)
+    rest = float(np.sqrt(np.mean((off - sizes @ basis) ** 2)))
+    return bool(abs(sizes[2]) > max(_LEAST_SAGITTA_PX, 3.0 * rest))
+
+
+def _is_seen(ellipse: Ellipse, on: FloatArray, near: FloatArray, view: View) -> bool:
+    """Whether enough of the ellipse is explained by the points on it, it is no straight line, and on the field."""
+    centre, axes = ellipse.axes()
+    long, short = np.hypot(axes[:, 0], axes[:, 1])
+    if not (np.isfinite([long, short]).all() and short > _THINNEST * near.mean() and long < _LARGEST_PX):
+        return False
+    rim, _ = on_rim(centre, axes, np.arange(_BINS) / _BINS)
+    in_picture, on_field = view(rim)
+    if np.count_nonzero(in_picture & ~on_field) > _BESIDE * np.count_nonzero(in_picture):
+        return False
+    explained = np.bincount(bins_of(centre, axes, on), minlength=_BINS) > 0
+    count = np.count_nonzero(explained & in_picture)
+    return bool(count >= max(_LEAST_BINS, _LEAST_SEEN * np.count_nonzero(in_picture)))
+
+
+def on_rim(centre: FloatArray, axes: FloatArray, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) of the ellipse at turns (n,) of its own angle, 0 to 1, and the unit normals there, outwards."""
+    angle = 2.0 * np.pi * turns[:, None]
+    normals = np.cos(angle) * axes[0] / (axes[0] @ axes[0]) + np.sin(angle) * axes[1] / (axes[1] @ axes[1])
+    normals /= np.hypot(normals[:, :1], normals[:, 1:])
+    return centre + np.cos(angle) * axes[0] + np.sin(angle) * axes[1], normals
+
+
+def bins_of(centre: FloatArray, axes: FloatArray, points: FloatArray) -> NDArray[np.intp]:
+    """(n,) which of the equal parts of the ellipse's own angle points (n, 2) are nearest to the middle of."""
+    relative = points - centre
+    angle = np.arctan2(relative @ axes[1] / (axes[1] @ axes[1]), relative @ axes[0] / (axes[0] @ axes[0]))
+    return np.asarray(np.rint(angle / (2.0 * np.pi) * _BINS).astype(np.intp) % _BINS)

@@ -1,0 +1,49 @@
+"""From one picture to everything that is seen in it."""
+
+import numpy as np
+
+from fieldloc.camera import Camera
+from fieldloc.colours import FieldColours
+from fieldloc.pose import FloatArray
+from fieldloc.vision.chains import chains_of, parts
+from fieldloc.vision.circle import find_ellipse
+from fieldloc.vision.detections import Detections
+from fieldloc.vision.lines import fit_lines
+from fieldloc.vision.picture import UInt8Array
+from fieldloc.vision.rim import trace
+from fieldloc.vision.segments import merged, straight_pieces
+from fieldloc.vision.settings import VisionSettings
+from fieldloc.vision.straight import Plane
+from fieldloc.vision.turf import Mask, Turf, find_turf
+from fieldloc.vision.white import find_runs, grey_of
+
+_COLOURS = FieldColours()
+_DEFAULTS = VisionSettings()
+
+
+def detect(
+    picture: UInt8Array,
+    colours: FieldColours = _COLOURS,
+    camera: Camera | None = None,
+    settings: VisionSettings = _DEFAULTS,
+) -> Detections:
+    """What is seen in a picture (h, w, 3), blue first. camera: straight lines are sought through its lens."""
+    height, width = picture.shape[:2]
+    turf = find_turf(picture)
+    if turf.boundary_px is None:
+        return Detections(width, height)
+    plane = Plane(camera)
+    down, across = find_runs(picture, turf, settings)
+    chains = chains_of(down, True, 4) + chains_of(across, False, 4)
+    found = find_ellipse(chains, lambda points: _view(plane.to_picture(points), turf, width, height))
+    rest = chains if found is None else parts(chains, found[1], False)
+    grey = grey_of(picture, turf)
+    circle = found and trace(grey, found[0], np.concatenate(parts(chains, found[1], True)), plane, settings)
+    lines = fit_lines(grey, merged(straight_pieces(rest, 0.6 * settings.least_length_px)), plane, settings)
+    return Detections(width, height, lines, circles=(circle,) if circle else (), boundary_px=turf.boundary_px)
+
+
+def _view(pixels: FloatArray, turf: Turf, width: int, height: int) -> tuple[Mask, Mask]:
+    """Whether points are in the picture, and below the field's border."""
+    inside = np.asarray(((pixels > 3.0) & (pixels < (width - 4.0, height - 4.0))).all(axis=1))
+    return inside, turf.below_px(np.nan_to_num(pixels)) > -2.0

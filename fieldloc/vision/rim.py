@@ -1,0 +1,83 @@
+"""The circle's line, measured across it as straight lines are."""
+
+import numpy as np
+
+from fieldloc.pose import FloatArray
+from fieldloc.vision.circle import Ellipse, bins_of, fit_ellipse, on_rim
+from fieldloc.vision.detections import SeenCircle
+from fieldloc.vision.picture import UInt8Array
+from fieldloc.vision.profiles import measure
+from fieldloc.vision.settings import VisionSettings
+from fieldloc.vision.straight import Plane
+
+_SPACING_PX = 4.0  # of the points along the circle
+_FEWEST, _MOST = 24, 128  # points all around
+_BINS = 48
+_OUTLIER = 3.5  # robust standard deviations from the ellipse
+_FLOOR_PX = 0.03  # of a point: what interpolation between pixels errs by
+_AROUND = 9  # neighbours that tell a point's standard deviation
+
+
+def trace(
+    grey: UInt8Array, ellipse: Ellipse, on: FloatArray, plane: Plane, settings: VisionSettings
+) -> SeenCircle | None:
+    """The points of the picture `grey` on the middle of the circle's line, where it is seen.
+
+    ellipse: in the plane. on: (n, 3) the middles of white runs on it, with their widths along the scan lines.
+    """
+    for _ in range(2):
+        centre, axes = ellipse.axes()
+        turns = _evenly(centre, axes)
+        points, normals = on_rim(centre, axes, turns)
+        part = np.rint(turns * _BINS).astype(np.intp) % _BINS
+        widths = _widths(centre, axes, on)[part]
+        seen = np.isfinite(widths)
+        points, normals, widths = points[seen], normals[seen], widths[seen]
+        widths = widths * np.abs(normals).max(axis=1)
+        pixels = plane.to_picture(points)
+        across = 0.5 * (plane.to_picture(points + normals) - plane.to_picture(points - normals))
+        zoom = np.hypot(across[:, 0], across[:, 1])
+        across = across / zoom[:, None]
+        found = measure(grey, pixels, across, widths * zoom)
+        good = found.good & (found.step > 0.6 * settings.least_contrast)
+        middles = points + (found.middle_px / zoom)[:, None] * normals
+        fitted = None
+        for _ in range(3):
+            fitted = fit_ellipse(middles[good], ellipse.weights(middles[good]))
+            if fitted is None:
+                return None
+            ellipse = fitted
+            off = ellipse.distance(np.where(np.isfinite(middles), middles, 1e9))
+            spread = 1.4826 * float(np.median(np.abs(off[good])))
+            good &= np.abs(off) < _OUTLIER * max(spread, 0.05)
+        if np.count_nonzero(good) < _FEWEST // 2:
+            return None
+    sigma = np.sqrt(_local(off[good] ** 2) + _FLOOR_PX**2) * zoom[good]
+    centre, axes = ellipse.axes()
+    lengths = np.hypot(axes[:, 0], axes[:, 1])
+    angle = float(np.arctan2(axes[0, 1], axes[0, 0]))
+    numbers = np.array([*centre, *lengths, angle])
+    return SeenCircle(pixels[good] + (found.middle_px[good])[:, None] * across[good], sigma, numbers)
+
+
+def _evenly(centre: FloatArray, axes: FloatArray) -> FloatArray:
+    """Turns of the ellipse's own angle at which points are about evenly spaced on it."""
+    fine = np.linspace(0.0, 1.0, 361)
+    rim, _ = on_rim(centre, axes, fine)
+    path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rim, axis=0).T))])
+    count = int(np.clip(path[-1] / _SPACING_PX, _FEWEST, _MOST))
+    return np.asarray(np.interp(np.arange(count) * path[-1] / count, path, fine))
+
+
+def _widths(centre: FloatArray, axes: FloatArray, on: FloatArray) -> FloatArray:
+    """Per part of the ellipse's angle the mean width of the runs there, NaN without any."""
+    part = bins_of(centre, axes, on[:, :2])
+    count = np.bincount(part, minlength=_BINS)
+    total = np.bincount(part, weights=on[:, 2], minlength=_BINS)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _local(square: FloatArray) -> FloatArray:
+    """The mean over each point's neighbours."""
+    kernel = np.ones(min(_AROUND, len(square)))
+    return np.asarray(np.convolve(square, kernel, mode="same") / np.convolve(np.ones(len(square)), kernel, mode="same"))

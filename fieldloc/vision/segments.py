@@ -1,0 +1,128 @@
+"""Chains of white runs -> straight pieces: split where they bend, put together where they go on behind something."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldloc.pose import FloatArray
+
+_BEND_PX = 1.2  # a piece's points stay within this of its chord, and within the next share of its width
+_BEND_SHARE = 0.12
+_TOGETHER_PX = 1.5  # ends of a piece from the line it is part of, beside the next share of its width ..
+_TOGETHER_SHARE = 0.15
+_TOGETHER_RAD = 0.012  # .. and for each pixel that it lies beyond that line's end
+_WIDTHS = 3.0  # how much wider than the widest end of a line a piece of it may be
+_FEWEST = 4  # points of a piece
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """n straight pieces. ends: (n, 2, 2) in the plane of straight lines; width_px: (n, 2) across, at either end."""
+
+    ends: FloatArray
+    width_px: FloatArray
+
+    @property
+    def lengths(self) -> FloatArray:
+        return np.asarray(np.linalg.norm(self.ends[:, 1] - self.ends[:, 0], axis=1))
+
+
+def straight_pieces(chains: list[FloatArray], least_length_px: float) -> Segments:
+    """The straight pieces of chains (m, 3: a point in the plane and the width along the scan line there)."""
+    ends, widths = [], []
+    todo = list(chains)
+    while todo:
+        chain = todo.pop()
+        chord = chain[-1, :2] - chain[0, :2]
+        length = float(np.hypot(chord[0], chord[1]))
+        if len(chain) < _FEWEST or length < least_length_px:
+            continue
+        along = chord / length
+        off = (chain[:, 1] - chain[0, 1]) * along[0] - (chain[:, 0] - chain[0, 0]) * along[1]
+        # A run's width is along its scan line, which is the axis the chain goes across.
+        width = float(np.median(chain[:, 2])) * max(abs(along[0]), abs(along[1]))
+        slack = max(_BEND_PX, _BEND_SHARE * width)
+        middle = float(np.median(off))
+        if np.quantile(np.abs(off - middle), 0.9) <= 0.5 * slack and np.abs(off - middle).max() <= 2.0 * slack:
+            ends.append(_fitted(chain[:, :2]))
+            widths.append(_tapered(chain[:, 2]) * max(abs(along[0]), abs(along[1])))
+            continue
+        split = int(np.argmax(np.abs(off)))
+        split = min(max(split, 1), len(chain) - 2)
+        todo += [chain[: split + 1], chain[split:]]
+    return Segments(np.array(ends).reshape(-1, 2, 2), np.array(widths).reshape(-1, 2))
+
+
+def _fitted(points: FloatArray) -> FloatArray:
+    """(2, 2): the ends of the straight line through points in order, which pays little heed to the odd one far off."""
+    weights = np.ones(len(points))
+    for _ in range(3):
+        mean = weights @ points / weights.sum()
+        centred = points - mean
+        moments = (weights[:, None] * centred).T @ centred
+        angle = 0.5 * np.arctan2(2.0 * moments[0, 1], moments[0, 0] - moments[1, 1])
+        along = np.array([np.cos(angle), np.sin(angle)])
+        off = centred @ np.array([-along[1], along[0]])
+        weights = 1.0 / (1.0 + (off / max(float(np.median(np.abs(off))), 0.1) / 3.0) ** 2)
+    return np.asarray(mean + (centred[[0, -1]] @ along)[:, None] * along)
+
+
+def _tapered(width: FloatArray) -> FloatArray:
+    """(2,) the width at either end of a piece, from the medians of its halves."""
+    half = len(width) // 2
+    first, second = float(np.median(width[:half])), float(np.median(width[half:]))
+    taper = 0.5 * (second - first)
+    return np.asarray(np.maximum([first - taper, second + taper], 0.5 * min(first, second)))
+
+
+def merged(pieces: Segments) -> Segments:
+    """Pieces of one line as one, from the longest on; its ends are those of the pieces farthest apart."""
+    order = np.argsort(-pieces.lengths)
+    ends, width, weight = pieces.ends[order], pieces.width_px[order], pieces.lengths[order]
+    kept_ends, kept_widths = [], []
+    while len(ends):
+        base, base_width = ends[0], width[0]
+        joined = np.zeros(len(ends), dtype=np.bool_)
+        joined[0] = True
+        for _ in range(3):  # what is joined makes the line longer and surer, so that more may belong to it
+            origin, along = base[0], base[1] - base[0]
+            length = float(np.hypot(along[0], along[1]))
+            along = along / length
+            relative = ends - origin
+            place = relative @ along
+            off = np.abs(relative @ np.array([-along[1], along[0]]))
+            beyond = np.maximum(np.maximum(-place, place - length), 0.0)
+            slack = _TOGETHER_PX + _TOGETHER_SHARE * np.minimum(width, base_width.max()) + _TOGETHER_RAD * beyond
+            now = (off <= slack).all(axis=1) & (width.mean(axis=1) < _WIDTHS * base_width.max())
+            now[0] = True
+            if (now == joined).all():
+                break
+            joined = now
+            base = _joint(ends[joined], weight[joined])
+            place = (ends[joined] - base[0]) @ (base[1] - base[0]) / np.sum((base[1] - base[0]) ** 2)
+            base_width = _line_at_ends(place.ravel(), width[joined].ravel(), np.repeat(weight[joined], 2))
+        kept_ends.append(base)
+        kept_widths.append(base_width)
+        ends, width, weight = ends[~joined], width[~joined], weight[~joined]
+    return Segments(np.array(kept_ends).reshape(-1, 2, 2), np.array(kept_widths).reshape(-1, 2))
+
+
+def _line_at_ends(place: FloatArray, width: FloatArray, weight: FloatArray) -> FloatArray:
+    """(2,) the straight line through widths over places, at places 0 and 1; no narrower than half the narrowest."""
+    mean, middle = np.average(width, weights=weight), np.average(place, weights=weight)
+    spread = float(weight @ (place - middle) ** 2)
+    slope = float(weight @ ((place - middle) * (width - mean))) / spread if spread > 0.0 else 0.0
+    return np.maximum(mean + slope * (np.array([0.0, 1.0]) - middle), 0.5 * float(width.min()))
+
+
+def _joint(ends: FloatArray, weight: FloatArray) -> FloatArray:
+    """(2, 2): one line through segments (k, 2, 2), each with a weight, from end to end."""
+    points = np.concatenate([ends[:, 0], ends.mean(axis=1), ends[:, 1]])
+    weights = np.tile(weight, 3)
+    mean = weights @ points / weights.sum()
+    centred = points - mean
+    moments = (weights[:, None] * centred).T @ centred
+    angle = 0.5 * np.arctan2(2.0 * moments[0, 1], moments[0, 0] - moments[1, 1])
+    along = np.array([np.cos(angle), np.sin(angle)])
+    place = centred @ along
+    return np.asarray(mean + np.array([[place.min()], [place.max()]]) * along)

@@ -1,0 +1,168 @@
+"""White runs: where scan lines, down and across the picture, go from turf over something white to turf again.
+
+What is white is told from sunlit turf by the colour of the step, not by its brightness: from turf to white, blue and
+red rise more than green; from shade to sun, less. So a thin, blurred or shaded line passes, a stripe of sun does not.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc.pose import FloatArray
+from fieldloc.vision.picture import UInt8Array
+from fieldloc.vision.settings import VisionSettings
+from fieldloc.vision.turf import Turf
+
+Single = NDArray[np.float32]
+
+SCAN_STEP_PX = 4  # from one scan line to the next, of which all pixels are averaged
+
+_SIGMAS = 2.5  # above the turf's own texture
+_WIDE_SHARE, _NEAR_SHARE = 10, 32  # windows for the turf around a pixel are such a part of the picture's width
+_LEAST_SHARE = 0.25  # of the near window in turf, for it to count
+_CLIP = 1.5  # what is farther from the mean than so many standard deviations is no turf
+_CLIPPED = 1.35  # a normal distribution's standard deviation to that of its part within _CLIP
+_COLOUR_STEP = 0.8  # of blue and red to that of green: about 0.5 from shade to sun, above 1 from turf to white
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Runs:
+    """n runs along parallel scan lines. scan: (n,) row of the scan line, in ascending order; at_px (n,) its place
+    across (u where scan lines go down the picture, v where they go across it); first_px, last_px: (n,) where the run
+    begins and ends along it.
+    """
+
+    scan: NDArray[np.intp]
+    at_px: FloatArray
+    first_px: FloatArray
+    last_px: FloatArray
+
+    @property
+    def middle_px(self) -> FloatArray:
+        return 0.5 * (self.first_px + self.last_px)
+
+
+def weights_of(colour: FloatArray) -> FloatArray:
+    """(3,) for blue, green and red, of sum 1: the sum of a pixel's colours in which white stands out most from turf."""
+    green = max(float(colour[1]), 1.0)
+    darker = np.maximum(green - colour, 0.0) + 0.1 * green
+    return np.asarray(darker / darker.sum(), dtype=np.float64)
+
+
+def grey_of(picture: UInt8Array, turf: Turf) -> UInt8Array:
+    """(h, w): that sum of a picture's colours."""
+    return np.asarray(cv2.transform(picture, weights_of(turf.colour)[None]), dtype=np.uint8)
+
+
+def find_runs(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> tuple[Runs, Runs]:
+    """The runs on scan lines down the picture and on those across it, in its pixels."""
+    height, width = picture.shape[:2]
+    level = _turf_level(picture, turf, settings)
+    down = _reduced(picture, max(1, width // SCAN_STEP_PX), height)
+    across = _reduced(picture, width, max(1, height // SCAN_STEP_PX))
+    first = _runs(down.transpose(1, 0, 2), level.T, turf, width, settings.widest * height, True)
+    second = _runs(across, level, turf, height, settings.widest * height, False)
+    return first, second
+
+
+def _reduced(picture: UInt8Array, width: int, height: int) -> UInt8Array:
+    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _turf_level(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> Single:
+    """On the turf's grid: what has to be exceeded to be no turf, from the turf around."""
+    size = turf.mask.shape[1], turf.mask.shape[0]
+    grey = grey_of(_reduced(picture, *size), turf).astype(np.float32)
+    mask = turf.mask.astype(np.float32)
+    wide, near = max(3, size[0] // _WIDE_SHARE), max(3, size[0] // _NEAR_SHARE)
+    far_mean, far_spread, _ = _around(grey, mask, wide)
+    mask *= np.abs(grey - far_mean) < _CLIP * far_spread
+    # Once more without what stands out from the turf close by: lines as pale as turf, which are in the mask.
+    mean, spread, share = _around(grey, mask, near)
+    mask *= np.abs(grey - mean) < _CLIP * spread
+    mean, spread, share = _around(grey, mask, near)
+    # Beside something wide there is none close by.
+    few = share < _LEAST_SHARE
+    mean[few], spread[few] = far_mean[few], far_spread[few]
+    return np.asarray(mean + np.maximum(_SIGMAS * _CLIPPED * spread, settings.least_contrast), dtype=np.float32)
+
+
+def _around(grey: Single, mask: Single, window_px: int) -> tuple[Single, Single, Single]:
+    """Mean and standard deviation of what is in the mask in a window around each pixel, and the mask's share of it.
+
+    255 and 0 where that is nothing: no pixel exceeds it.
+    """
+    window = (window_px, window_px)
+    share = np.asarray(cv2.boxFilter(mask, -1, window), dtype=np.float32)
+    count = share + np.float32(1e-3)
+    mean = np.asarray(cv2.boxFilter(grey * mask, -1, window) / count, dtype=np.float32)
+    square = np.asarray(cv2.boxFilter(grey * grey * mask, -1, window) / count, dtype=np.float32)
+    spread = np.sqrt(np.maximum(square - mean * mean, 0.0))
+    mean[share < 0.01] = 255.0
+    return mean, spread, share
+
+
+def _runs(lines: UInt8Array, level: Single, turf: Turf, extent_px: int, widest_px: float, down: bool) -> Runs:
+    """lines: (n, length, 3) a scan line per row. level: `_turf_level`, a scan line per row. extent_px: across them."""
+    count, length = lines.shape[:2]
+    lines = np.ascontiguousarray(lines)
+    grey = np.asarray(cv2.GaussianBlur(grey_of(lines, turf), (3, 1), 0), dtype=np.uint8)
+    bar = np.asarray(cv2.resize(level, (length, count), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+    white = cv2.morphologyEx((grey > bar).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((1, 3), dtype=np.uint8))
+    apart = np.zeros((count, length + 1), dtype=np.uint8)  # so that no run goes on in the next row
+    apart[:, :-1] = white
+    flat = apart.ravel()
+    changes = np.flatnonzero(flat[1:] != flat[:-1]) + 1
+    if flat[0]:
+        changes = changes[1:]  # begins at the picture's corner
+    pairs = changes[: len(changes) // 2 * 2].reshape(-1, 2)
+    scan, first = np.divmod(pairs[:, 0], length + 1)
+    last = pairs[:, 1] % (length + 1) - 1  # -1 after the modulo: a run up to the picture's border ends at length - 1
+    inside = (first > 0) & (last < length - 1) & (last - first < widest_px)
+    scan, first, last = scan[inside], first[inside], last[inside]
+    begins = first - _beyond(grey, bar, scan, first, first - 1)
+    ends = last + _beyond(grey, bar, scan, last, last + 1)
+    kept = _between_turf(lines, turf, scan, begins, ends, extent_px, down)
+    at_px = (scan + 0.5) * (extent_px / count) - 0.5
+    return Runs(scan[kept], at_px[kept], begins[kept], ends[kept])
+
+
+def _beyond(
+    grey: UInt8Array, bar: Single, scan: NDArray[np.intp], inner: NDArray[np.intp], outer: NDArray[np.intp]
+) -> FloatArray:
+    """How far from the last pixel of a run (inner) to the next (outer) its border is, 0 to 1."""
+    above = grey[scan, inner] - bar[scan, inner].astype(np.float64)
+    below = bar[scan, outer].astype(np.float64) - grey[scan, outer]
+    return np.clip(above / np.maximum(above + below, 1e-6), 0.0, 1.0)
+
+
+def _between_turf(
+    lines: UInt8Array,
+    turf: Turf,
+    scan: NDArray[np.intp],
+    begins: FloatArray,
+    ends: FloatArray,
+    extent_px: int,
+    down: bool,
+) -> NDArray[np.bool_]:
+    """Which runs have turf on either side, and are white beside it."""
+    count, length = lines.shape[:2]
+    width, middle = ends - begins, 0.5 * (begins + ends)
+    at_px = (scan + 0.5) * (extent_px / count) - 0.5
+    kept = np.ones(len(scan), dtype=np.bool_)
+    beside = np.zeros((len(scan), 3))
+    for border, sign in ((begins, -1.0), (ends, 1.0)):
+        green = np.zeros(len(scan), dtype=np.bool_)
+        for away in (1.5, 3.5, 6.0):  # a thin line's halo in the compressed colours reaches some pixels
+            place = border + sign * (away + 0.15 * width)
+            points = np.stack([at_px, place] if down else [place, at_px], axis=1)
+            green |= turf.at(points)
+        kept &= green
+        place = np.clip(np.rint(border + sign * (2.0 + 0.15 * width)), 0, length - 1).astype(np.intp)
+        beside += 0.5 * lines[scan, place]
+    weights = weights_of(turf.colour)
+    step = lines[scan, np.rint(middle).astype(np.intp)] - beside
+    white = (step @ weights > _COLOUR_STEP * step[:, 1]) & (step.min(axis=1) > 0.5 * _COLOUR_STEP * step[:, 1])
+    return np.asarray(kept & white, dtype=np.bool_)
