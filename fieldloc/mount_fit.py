@@ -1,0 +1,273 @@
+"""What is wrong all the time with where a camera sits: its height, tilt and roll, from images and the poses they were
+taken from.
+
+A head that is a degree askew turns all lines and feet of all images alike; gait and joints add to it what differs from
+image to image. Both are told apart by their scatter:
+
+    error of the mount in image i = constant + wobble_i,   wobble_i ~ N(0, diag(wobble^2))
+
+The constant, and the wobble's sigmas by expectation maximization, come from the ends of lines and the posts' feet, each
+against the thing on the map that it can be from there alone. A constant pan is a turn of all bearings, which no image
+tells from a turn of the robot: it is the business of who knows how the robot moves (estimators.sensor).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fieldloc.camera import Camera
+from fieldloc.field import FieldMap
+from fieldloc.ground import attitude_axes, cross, project_points, robot_from_camera
+from fieldloc.measurements import CameraMount, ImageFeatures
+from fieldloc.pose import FloatArray
+from fieldloc.repetition import inflation
+
+PARTS = ("height_m", "tilt_rad", "roll_rad")
+_ROUNDS = 6
+_STEP = np.array([1e-4, 1e-5, 1e-5])  # of height, tilt, roll, where derivatives are taken numerically
+_GATE = 13.8  # chi-square of two numbers, once in a thousand
+_CLEARER = 9.0  # by how much the next best thing on the map must fit worse
+_TAIL = 4.0  # degrees of freedom of a Student t: what fits badly counts less
+_DOUBT = 4.0  # images' poses come from these very images: they are known worse than they claim
+_PRIOR_IMAGES = 4.0  # how many images the prior of the wobble is worth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountFit:
+    """In the order of PARTS: error (3,), what is to be added to what the log says; covariance (3, 3) of that; wobble
+    (3,) standard deviations image by image. images: how many had something to say."""
+
+    error: FloatArray
+    covariance: FloatArray
+    wobble: FloatArray
+    images: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Of one image: residual (k,) seen - predicted, in units of noise; its change with mount (k, 3) and pose (k, 3)."""
+
+    residual: FloatArray
+    by_mount: FloatArray
+    by_pose: FloatArray
+
+
+def fit_mount(
+    images: Sequence[ImageFeatures],
+    poses: FloatArray,
+    covariances: FloatArray,
+    camera: Camera,
+    field: FieldMap,
+    sigmas: FloatArray,
+    correlation_s: float = 1.0,
+) -> MountFit:
+    """images with the poses (n, 3) they were taken from and covariances (n, 3, 3) of those, robot frame.
+
+    sigmas: (3,) of the constant error beforehand, which is also where the wobble begins. correlation_s: over what time
+    images err alike. Where nothing is told, the error is 0 with those sigmas.
+    """
+    news = _news(images, correlation_s)
+    error, wobble = np.zeros(3), 0.5 * sigmas
+    covariance, used = np.diag(sigmas**2), 0
+    for _ in range(_ROUNDS):
+        seen = [
+            (_rows(image, error, pose, known, covariance + np.diag(wobble**2), camera, field), known, share)
+            for image, pose, known, share in zip(images, poses, _DOUBT * covariances, news, strict=True)
+        ]
+        told = [(rows, known, share) for rows, known, share in seen if len(rows.residual)]
+        used = len(told)
+        if not used:
+            break
+        error, covariance, wobble = _estimated(told, error, sigmas, wobble)
+    return MountFit(error, covariance, wobble, used)
+
+
+def corrected(mount: CameraMount, error: FloatArray) -> CameraMount:
+    """The mount with an error (3,), in the order of PARTS, taken out."""
+    height_m, tilt_rad, roll_rad = error.tolist()
+    return replace(
+        mount,
+        height_m=mount.height_m + height_m,
+        tilt_rad=mount.tilt_rad + tilt_rad,
+        roll_rad=mount.roll_rad + roll_rad,
+    )
+
+
+def _news(images: Sequence[ImageFeatures], correlation_s: float) -> FloatArray:
+    """(n,) share of each image that the one before has not said."""
+    stamps_s = np.array([image.stamp_ns for image in images]) * 1e-9
+    gaps = np.diff(stamps_s, prepend=-np.inf)
+    return np.asarray(1.0 / inflation(np.maximum(gaps, 0.0), correlation_s))
+
+
+def _estimated(
+    told: list[tuple[_Rows, FloatArray, float]], at: FloatArray, sigmas: FloatArray, wobble: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The constant, its covariance and the wobble after one round; `at`: the constant that the rows are about."""
+    information, vector = np.diag(1.0 / sigmas**2), -at / sigmas**2
+    whitened = []
+    for rows, known, share in told:
+        spread = np.eye(len(rows.residual)) + rows.by_pose @ known @ rows.by_pose.T
+        whole = spread + (rows.by_mount * wobble**2) @ rows.by_mount.T
+        misfit = rows.residual @ np.linalg.solve(whole, rows.residual)
+        weight = share * (_TAIL + len(rows.residual)) / (_TAIL + misfit)
+        solved = np.linalg.solve(whole, np.column_stack([rows.by_mount, rows.residual]))
+        information = information + weight * (rows.by_mount.T @ solved[:, :3])
+        vector = vector + weight * (rows.by_mount.T @ solved[:, 3])
+        whitened.append((rows, solved, weight))
+    covariance = np.linalg.inv(information)
+    step = covariance @ vector
+    squares, count = _PRIOR_IMAGES * (0.5 * sigmas) ** 2, _PRIOR_IMAGES
+    for rows, solved, weight in whitened:
+        gain = wobble[:, None] ** 2 * rows.by_mount.T
+        mean = gain @ (solved[:, 3] - solved[:, :3] @ step)
+        left = wobble**2 - np.einsum("ik,ki->i", gain, solved[:, :3]) * wobble**2
+        squares = squares + weight * (mean**2 + left)
+        count += weight
+    return at + step, np.asarray(covariance), np.asarray(np.sqrt(squares / count))
+
+
+def _rows(
+    image: ImageFeatures,
+    error: FloatArray,
+    pose: FloatArray,
+    known: FloatArray,
+    spread: FloatArray,
+    camera: Camera,
+    field: FieldMap,
+) -> _Rows:
+    mount = corrected(image.mount, error)
+    parts = [*_of_lines(image, mount, pose, known, spread, camera, field)]
+    parts += _of_feet(image, mount, pose, known, spread, camera, field)
+    if not parts:
+        return _Rows(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+    return _Rows(*(np.concatenate([part[k] for part in parts]) for k in range(3)))
+
+
+Part = tuple[FloatArray, FloatArray, FloatArray]
+
+
+def _of_lines(
+    image: ImageFeatures,
+    mount: CameraMount,
+    pose: FloatArray,
+    known: FloatArray,
+    spread: FloatArray,
+    camera: Camera,
+    field: FieldMap,
+) -> list[Part]:
+    """A line's plane through the camera, v = (n, (d - n . c) / h), holds the rays of both ends (fixes.lines)."""
+    if not image.lines or not len(field.lines):
+        return []
+    ends = np.array([line.ends_px for line in image.lines])
+    noise = np.array([line.covariance_px2 for line in image.lines])
+    rays, by_pixel, exists = camera.ray_and_jacobian(ends)
+    rotation = robot_from_camera(mount)
+    along = field.lines[:, 1] - field.lines[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    distance = np.einsum("mi,mi->m", normal, field.lines[:, 0] - pose[:2])
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    nx, ny = c * normal[:, 0] + s * normal[:, 1], c * normal[:, 1] - s * normal[:, 0]
+    depth = (distance - nx * mount.x_m - ny * mount.y_m) / mount.height_m
+    plane = np.stack([nx, ny, depth], axis=1)
+    scale = np.linalg.norm(plane, axis=1)
+    out = []
+    for k in np.flatnonzero(exists.all(axis=1)):
+        directions = rays[k] @ rotation.T  # (2, 3)
+        if (directions[:, 2] >= 0.0).any():
+            continue
+        miss = plane @ directions.T / scale[:, None]  # (m, 2)
+        turned = cross(attitude_axes(mount)[1:, None], directions)  # (tilt and roll, end, 3)
+        by_height = -depth[:, None] / mount.height_m * directions[:, 2] / scale[:, None]
+        by_attitude = np.einsum("mi,aei->mea", plane / scale[:, None], turned)
+        by_mount = np.concatenate([by_height[..., None], by_attitude], axis=-1)  # (m, 2, 3)
+        by_pose = np.empty((len(plane), 2, 3))
+        by_pose[..., 0] = -nx[:, None] / mount.height_m * directions[:, 2] / scale[:, None]
+        by_pose[..., 1] = -ny[:, None] / mount.height_m * directions[:, 2] / scale[:, None]
+        swung = np.stack([ny, -nx, -(ny * mount.x_m - nx * mount.y_m) / mount.height_m], axis=1)
+        by_pose[..., 2] = swung @ directions.T / scale[:, None]
+        to_pixel = np.einsum("mi,eij->mej", plane / scale[:, None], rotation @ by_pixel[k])
+        both = np.zeros((len(plane), 2, 4))
+        both[:, 0, :2], both[:, 1, 2:] = to_pixel[:, 0], to_pixel[:, 1]
+        own = both @ noise[k] @ both.swapaxes(1, 2)
+        found = _clearest(-miss, by_mount, by_pose, own, known, spread)
+        if found is not None:
+            out.append(found)
+    return out
+
+
+def _of_feet(
+    image: ImageFeatures,
+    mount: CameraMount,
+    pose: FloatArray,
+    known: FloatArray,
+    spread: FloatArray,
+    camera: Camera,
+    field: FieldMap,
+) -> list[Part]:
+    """A post's foot is where its near side meets the ground."""
+    out = []
+    for post in image.posts:
+        if post.foot_px is None or post.foot_covariance_px2 is None or not field.landmarks:
+            continue
+        there = _feet(mount, pose, camera, field)
+        by_mount = np.stack(
+            [
+                (_feet(corrected(mount, step * axis), pose, camera, field) - there) / step
+                for step, axis in zip(_STEP, np.eye(3), strict=True)
+            ],
+            axis=-1,
+        )
+        by_pose = np.stack(
+            [
+                (_feet(mount, _stepped(pose, step * axis), camera, field) - there) / step
+                for step, axis in zip(_STEP, np.eye(3), strict=True)
+            ],
+            axis=-1,
+        )
+        own = np.broadcast_to(post.foot_covariance_px2, (len(there), 2, 2))
+        right = np.isfinite(there).all(axis=1)
+        if post.label is not None:
+            right &= np.array([label == post.label for label in field.labels])
+        if right.any():
+            found = _clearest((post.foot_px - there)[right], by_mount[right], by_pose[right], own[right], known, spread)
+            if found is not None:
+                out.append(found)
+    return out
+
+
+def _feet(mount: CameraMount, pose: FloatArray, camera: Camera, field: FieldMap) -> FloatArray:
+    """(m, 2) pixels of the near sides of all landmarks, NaN behind the camera."""
+    away = field.positions - pose[:2]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    at = np.stack([c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]], axis=1)
+    foot = np.array([mount.x_m, mount.y_m])
+    reach = np.linalg.norm(at - foot, axis=1, keepdims=True)
+    radius = 0.5 * np.array([mark.diameter_m for mark in field.landmarks])[:, None]
+    near = at - (at - foot) * (radius / np.maximum(reach, 1e-6))
+    pixels, _ = project_points(camera, mount, np.column_stack([near, np.zeros(len(near))]))
+    return pixels
+
+
+def _stepped(pose: FloatArray, step: FloatArray) -> FloatArray:
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.asarray(pose + [c * step[0] - s * step[1], s * step[0] + c * step[1], step[2]])
+
+
+def _clearest(
+    miss: FloatArray, by_mount: FloatArray, by_pose: FloatArray, own: FloatArray, known: FloatArray, spread: FloatArray
+) -> Part | None:
+    """The one of m things on the map that this can be, whitened; None for none, and where two can be it.
+
+    miss: (m, 2) seen - predicted, by_mount and by_pose (m, 2, 3) of the prediction; own: (m, 2, 2) noise of the seen.
+    """
+    whole = own + by_pose @ known @ by_pose.swapaxes(1, 2) + by_mount @ spread @ by_mount.swapaxes(1, 2)
+    distance = np.einsum("mi,mi->m", miss, np.linalg.solve(whole, miss[..., None])[..., 0])
+    order = np.argsort(distance)
+    best = int(order[0])
+    if distance[best] > _GATE or (len(order) > 1 and distance[order[1]] < distance[best] + _CLEARER):
+        return None
+    root = np.linalg.inv(np.linalg.cholesky(own[best]))
+    return root @ miss[best], root @ by_mount[best], root @ by_pose[best]
