@@ -27,10 +27,10 @@ class Canvas:
         share = np.ones(len(pixels))
         edge = np.arange(len(pixels))
         if shape.fills_cone:
-            well_inside = (eye.rays[pixels] @ normals.astype(np.float32).T > eye.grid.step_rad).all(axis=1)
+            well_inside = (eye.rays[pixels] @ normals.astype(np.float32).T > eye.margin_rad).all(axis=1)
             edge = np.flatnonzero(~well_inside)
         at_edge = pixels[edge]
-        share[edge] = shape.coverage(eye.centre, eye.rays[at_edge].astype(np.float64), eye.steps(at_edge))
+        share[edge] = shape.coverage(eye.centre, eye.rays[at_edge].astype(np.float64), eye.steps(at_edge), eye.blur_px)
         some = share > 0.0
         return pixels[some], share[some]
 

@@ -1,4 +1,4 @@
-"""From light on the sensor to the numbers of a picture: blur, motion, vignetting, exposure, noise, gamma."""
+"""From light on the sensor to the numbers of a picture: motion, vignetting, exposure, noise, gamma."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,13 +7,12 @@ from fieldloc.render.grid import Float32Array
 from fieldloc.render.scene import Sensor
 
 UInt8Array = NDArray[np.uint8]
-_REACH = 4.0  # of a Gaussian, in standard deviations
 _SHORTEST_PX = 0.05  # of motion that blurs anything
 
 
 def expose(light: Float32Array, sensor: Sensor, random: np.random.Generator) -> UInt8Array:
     """A picture (h, w, 3) of the light (h, w, 3) that falls on each pixel, 255 being white."""
-    seen = _moved(_blurred(light, sensor.blur_px), sensor.motion_px)
+    seen = _moved(light, sensor.motion_px)
     height, width = seen.shape[:2]
     rows, columns = np.arange(height, dtype=np.float32), np.arange(width, dtype=np.float32)
     gain = np.full(height, sensor.exposure, dtype=np.float32)
@@ -31,25 +30,6 @@ def expose(light: Float32Array, sensor: Sensor, random: np.random.Generator) -> 
     if sensor.gamma != 1.0:
         seen = 255.0 * np.power(np.clip(seen / 255.0, 0.0, 1.0), np.float32(1.0 / sensor.gamma))
     return np.clip(np.rint(seen), 0.0, 255.0).astype(np.uint8)
-
-
-def _blurred(light: Float32Array, sigma_px: float) -> Float32Array:
-    """By a Gaussian."""
-    if sigma_px <= 0.0:
-        return light
-    reach = max(1, int(np.ceil(_REACH * sigma_px)))
-    taps = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / sigma_px))
-    taps /= taps.sum()
-    for axis in (0, 1):
-        edges = [(0, 0)] * light.ndim
-        edges[axis] = (reach, reach)
-        padded = np.pad(light, edges, mode="edge")
-        size = light.shape[axis]
-        out = np.zeros_like(light)
-        for k, tap in enumerate(taps):
-            out += np.float32(tap) * (padded[k : k + size] if axis == 0 else padded[:, k : k + size])
-        light = out
-    return light
 
 
 def _moved(light: Float32Array, motion_px: tuple[float, float]) -> Float32Array:

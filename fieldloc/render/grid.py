@@ -10,6 +10,7 @@ from fieldloc.camera import Camera
 from fieldloc.ground import robot_from_camera
 from fieldloc.measurements import CameraMount
 from fieldloc.pose import FloatArray, apply, rotation3
+from fieldloc.render.coverage import REACH
 
 Float32Array = NDArray[np.float32]
 Indices = NDArray[np.intp]
@@ -52,7 +53,7 @@ def grid_of(camera: Camera) -> PixelGrid:
     chord = np.where(exists[pixels], np.linalg.norm(rays[pixels] - middles[:, None], axis=-1), 0.0).max(axis=1)
     lengths = np.linalg.norm(steps[exists], axis=1)
     step_rad = float(np.hypot(lengths[:, 0], lengths[:, 1]).max()) if len(lengths) else 0.0
-    spread = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) + step_rad
+    spread = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
     single = np.float32
     return PixelGrid(
         rays.astype(single),
@@ -67,11 +68,14 @@ def grid_of(camera: Camera) -> PixelGrid:
 class Eye:
     """A camera at its place over the field: where each pixel looks, in the field's axes.
 
-    centre: (3,) of the camera. rays: (n, 3) of all pixels.
+    centre: (3,) of the camera. rays: (n, 3) of all pixels. blur_px: of its lens. margin_rad: as far from a shape's
+    outline a pixel may be that has something of it.
     """
 
-    def __init__(self, camera: Camera, mount: CameraMount, pose: FloatArray) -> None:
+    def __init__(self, camera: Camera, mount: CameraMount, pose: FloatArray, blur_px: float) -> None:
         self.grid = grid_of(camera)
+        self.blur_px = blur_px
+        self.margin_rad = self.grid.step_rad * (1.0 + REACH * blur_px)
         foot = apply(pose, np.array([mount.x_m, mount.y_m]))
         self.centre: FloatArray = np.array([foot[0], foot[1], mount.height_m])
         self.field_from_camera: FloatArray = rotation3(pose[2]) @ robot_from_camera(mount)
@@ -83,9 +87,9 @@ class Eye:
         """Pixels that may show something of the cone of rays on the right side of all planes with these inward unit
         normals (k, 3) through the camera; some of them may come twice."""
         toward = normals.astype(np.float32).T
-        near = (self._middles @ toward > -self.grid.spread_rad[:, None]).all(axis=1)
+        near = (self._middles @ toward > -(self.grid.spread_rad + self.margin_rad)[:, None]).all(axis=1)
         pixels = self.grid.pixels[near].ravel()
-        fine = (self.rays[pixels] @ toward > -self.grid.step_rad).all(axis=1)
+        fine = (self.rays[pixels] @ toward > -self.margin_rad).all(axis=1)
         return np.asarray(pixels[fine])
 
     def steps(self, pixels: Indices) -> FloatArray:

@@ -11,6 +11,7 @@ from fieldloc.render.exposure import UInt8Array, expose
 from fieldloc.render.grid import Eye
 from fieldloc.render.scene import Scene
 from fieldloc.render.standing import paint_standing
+from fieldloc.render.truth import Truth, truth_of
 from fieldloc.render.turf import paint_ground
 
 
@@ -21,10 +22,18 @@ def render(
 
     ValueError where the camera is not above the ground.
     """
+    return render_with_truth(scene, camera, field, mount, pose, rng)[0]
+
+
+def render_with_truth(
+    scene: Scene, camera: Camera, field: FieldMap, mount: CameraMount, pose: FloatArray, rng: np.random.Generator
+) -> tuple[UInt8Array, Truth]:
+    """As `render`, with what the picture shows."""
     if not mount.height_m > 0.0:
         raise ValueError(f"height_m is {mount.height_m}, must be above 0")
-    canvas = Canvas(Eye(camera, mount, pose))
+    canvas = Canvas(Eye(camera, mount, pose, scene.sensor.blur_px))
     paint_ground(canvas, scene, field)
-    paint_standing(canvas, scene, field)
+    ranks = paint_standing(canvas, scene, field)
     canvas.light[np.isnan(canvas.eye.rays[:, 0])] = 0.0  # beyond what the lens shows
-    return expose(canvas.light.reshape(camera.height_px, camera.width_px, 3), scene.sensor, rng)
+    picture = expose(canvas.light.reshape(camera.height_px, camera.width_px, 3), scene.sensor, rng)
+    return picture, truth_of(canvas, camera, field, scene.goals, ranks)

@@ -5,17 +5,9 @@ Colours are (blue, green, red) from 0 to 255. `Scene()` is clean: an even turf, 
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from fieldloc.field import FieldMap
-from fieldloc.pose import FloatArray
-
 Colour = tuple[float, float, float]
 
 WHITE: Colour = (235.0, 235.0, 235.0)
-_GOAL_HEIGHTS_M = {"kidsize-2014": 1.1, "kidsize": 1.2, "adultsize": 1.8, "spl": 0.8}
-_USUAL_GOAL_HEIGHT_M = 1.2
-_MARKS_FROM_GOAL_M = {"kidsize-2014": 1.8, "kidsize": 1.5, "adultsize": 2.1, "spl": 1.3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,14 +89,15 @@ class Turf:
 
 @dataclass(frozen=True, slots=True)
 class Goals:
-    """height_m: of the crossbar's upper edge; None: what the field says. shading: how much darker a post's sides
-    are, as a share. shadow_m: where on the ground the shadow of a post's top falls, seen from its foot; shadow_dark:
-    how dark it is, as a share.
+    """What the map does not say of the posts, its landmarks.
+
+    colour: None: the first that the map names. height_m: of those whose height the map does not know. net: of thin
+    threads, behind each crossbar. shading: how much darker a post's sides are, as a share. shadow_m: where on the
+    ground the shadow of a post's top falls, seen from its foot; shadow_dark: how dark it is, as a share.
     """
 
     colour: Colour | None = None
-    height_m: float | None = None
-    crossbar: bool = True
+    height_m: float = 1.2
     net: bool = False
     shading: float = 0.0
     shadow_m: tuple[float, float] = (0.0, 0.0)
@@ -115,14 +108,14 @@ class Goals:
 class Sensor:
     """From light to numbers.
 
-    blur_px: standard deviation of the lens' blur. motion_px: (u, v) by which the picture moved while it was exposed;
-    the truth is that of the middle of the exposure. vignetting: darker by that share in the corners. exposure: gain on
-    everything; rolling: how much (a share) it changes from row to row, rolling_rows: over how many rows, and
-    rolling_phase_rad. read_noise: standard deviation of the darkest pixels; shot_noise: what is added to its variance
-    at 255, as a standard deviation. gamma: light ** (1 / gamma) of what it then is; 1: none.
+    blur_px: standard deviation of the lens' blur; 0 is a lens that does not exist, and its pictures are jagged.
+    motion_px: (u, v) by which the picture moved while it was exposed; the truth is that of the middle of the exposure.
+    vignetting: darker by that share in the corners. exposure: gain on everything. rolling: how much of it, as a share,
+    comes and goes from row to row, over rolling_rows, beginning with rolling_phase_rad. read_noise: standard deviation
+    of the darkest pixels; shot_noise: that of what comes on top at 255. gamma: light ** (1 / gamma); 1: none.
     """
 
-    blur_px: float = 0.0
+    blur_px: float = 0.5
     motion_px: tuple[float, float] = (0.0, 0.0)
     vignetting: float = 0.0
     exposure: float = 1.0
@@ -136,7 +129,8 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """ceiling: the colour behind everything. mark_size_m: of the crosses of penalty and centre marks; 0: none."""
+    """ceiling: the colour behind everything. panels: the farthest first. contact_dark: how dark the ground is under
+    robots and balls, as a share."""
 
     turf: Turf = field(default_factory=Turf)
     goals: Goals = field(default_factory=Goals)
@@ -146,20 +140,4 @@ class Scene:
     people: tuple[Person, ...] = ()
     panels: tuple[Panel, ...] = ()
     ceiling: Colour = (150.0, 145.0, 140.0)
-    mark_size_m: float = 0.1
-
-
-def goal_height_m(field_map: FieldMap, goals: Goals) -> float:
-    """Of the crossbar's upper edge over the ground."""
-    if goals.height_m is not None:
-        return goals.height_m
-    return _GOAL_HEIGHTS_M.get(field_map.name, _USUAL_GOAL_HEIGHT_M)
-
-
-def marks_of(field_map: FieldMap) -> FloatArray:
-    """(n, 2) of the penalty marks and the centre mark of a preset; none on other maps."""
-    from_goal_m = _MARKS_FROM_GOAL_M.get(field_map.name)
-    if from_goal_m is None:
-        return np.zeros((0, 2))
-    x = field_map.bounds[2] - from_goal_m
-    return np.array([[x, 0.0], [-x, 0.0], [0.0, 0.0]])
+    contact_dark: float = 0.0

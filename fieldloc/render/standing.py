@@ -8,27 +8,27 @@ import numpy as np
 from fieldloc.field import FieldMap
 from fieldloc.pose import FloatArray
 from fieldloc.render.canvas import Canvas
+from fieldloc.render.flat import Quad, Ring, strip
+from fieldloc.render.goals import crossbars, diameter_m, post_colour, post_of
 from fieldloc.render.grid import Indices
-from fieldloc.render.scene import WHITE, Ball, Colour, Goals, Panel, Person, Robot, Scene, goal_height_m
-from fieldloc.render.shapes import Bar, Pillar, Quad, Ring, Shape, Sphere, strip
-
-USUAL_POST_DIAMETER_M = 0.1
-"""Of a landmark whose diameter is not known."""
-_SHADOW_DARK = 0.75  # gain on the ground under what stands on it
+from fieldloc.render.scene import Ball, Colour, Panel, Person, Robot, Scene
+from fieldloc.render.shapes import Shape
+from fieldloc.render.solid import Pillar, Sphere
 
 
 class Painted(NamedTuple):
-    """landmark: the row on the map of the post that it is, -1 where it is none. shading: as in Goals."""
+    """part: of the map: the row of the landmark that it is; the crossbars follow on them. -1 where it is none of these.
+    shading: as in Goals."""
 
     distance_m: float
     shape: Shape
     colour: Colour
-    landmark: int = -1
+    part: int = -1
     shading: float = 0.0
 
 
 def paint_standing(canvas: Canvas, scene: Scene, field_map: FieldMap) -> dict[int, int]:
-    """All of it; returns the rank at which each landmark in sight was painted."""
+    """All of it; returns the rank at which each part of the map that is in sight was painted."""
     eye = canvas.eye.centre
     for shadow, gain in _shadows(scene, field_map):
         canvas.shade(*canvas.shares(shadow), gain)
@@ -42,41 +42,20 @@ def paint_standing(canvas: Canvas, scene: Scene, field_map: FieldMap) -> dict[in
         if thing.shading > 0.0 and isinstance(thing.shape, Pillar):
             colour = colour * _roundness(canvas, thing.shape, pixels, thing.shading)[:, None]
         rank = canvas.paint(pixels, share, colour)
-        if thing.landmark >= 0:
-            ranks[thing.landmark] = rank
+        if thing.part >= 0:
+            ranks[thing.part] = rank
     return ranks
-
-
-def post_of(field_map: FieldMap, index: int, goals: Goals) -> Pillar:
-    mark = field_map.landmarks[index]
-    return Pillar(mark.position, 0.5 * (mark.diameter_m or USUAL_POST_DIAMETER_M), 0.0, goal_height_m(field_map, goals))
-
-
-def crossbars(field_map: FieldMap, goals: Goals) -> list[Bar]:
-    """Between the posts of each goal, its upper edge at the posts' height; none on maps without goals."""
-    out: list[Bar] = []
-    if not goals.crossbar:
-        return out
-    for side in ("opponent", "own"):
-        ends = [field_map.index_of(f"post_{side}_{hand}") for hand in ("left", "right")]
-        if ends[0] is None or ends[1] is None:
-            continue
-        posts = [post_of(field_map, end, goals) for end in ends if end is not None]
-        radius = posts[0].radius_m
-        level = goal_height_m(field_map, goals) - radius
-        start, end = (np.append(post.centre, level) for post in posts)
-        out.append(Bar(start, end, radius))
-    return out
 
 
 def _things(scene: Scene, field_map: FieldMap, eye: FloatArray) -> Iterator[Painted]:
     goals = scene.goals
-    colour = goals.colour or WHITE
-    for bar in crossbars(field_map, goals):
-        middle = 0.5 * (bar.start + bar.end)[:2]
-        yield Painted(_distance(middle, eye) + 0.01, bar, colour)
-    for index, mark in enumerate(field_map.landmarks):
-        yield Painted(_distance(mark.position, eye), post_of(field_map, index, goals), colour, index, goals.shading)
+    colour = goals.colour or post_colour(field_map)
+    posts = [post_of(field_map, index, goals) for index in range(len(field_map.landmarks))]
+    for row, bar in enumerate(crossbars(field_map, goals), len(posts)):
+        # behind the farther of its posts: both are painted over its ends
+        yield Painted(max(_distance(end[:2], eye) for end in (bar.start, bar.end)) + 0.01, bar, colour, row)
+    for index, post in enumerate(posts):
+        yield Painted(_distance(post.centre, eye), post, colour, index, goals.shading)
     for ball in scene.balls:
         yield from _ball(ball, eye)
     for robot in scene.robots:
@@ -99,7 +78,8 @@ def _ball(ball: Ball, eye: FloatArray) -> Iterator[Painted]:
     yield Painted(distance, Sphere(centre, ball.radius_m), ball.colour)
     for k in range(5):  # dark patches, a little in front of the ball's middle as the camera sees it
         turn = 2.0 * np.pi * k / 5 + ball.x_m
-        around = np.array([np.cos(turn), np.sin(turn), 0.9 * np.sin(2.0 * turn)]) * 0.62 * ball.radius_m
+        around = np.array([np.cos(turn), np.sin(turn), 0.9 * np.sin(2.0 * turn)])
+        around *= 0.62 * ball.radius_m / np.linalg.norm(around)
         yield Painted(distance - 0.001, Sphere(centre + around, 0.28 * ball.radius_m), ball.patches)
 
 
@@ -148,12 +128,12 @@ def _shadows(scene: Scene, field_map: FieldMap) -> Iterator[tuple[Shape, float]]
     reach = np.array(goals.shadow_m)
     if goals.shadow_dark > 0.0 and np.linalg.norm(reach) > 0.0:
         for mark in field_map.landmarks:
-            width = mark.diameter_m or USUAL_POST_DIAMETER_M
-            yield strip(mark.position, mark.position + reach, width), 1.0 - goals.shadow_dark
-    for robot in scene.robots:
-        yield Ring(np.array([robot.x_m, robot.y_m]), 0.38 * robot.height_m), _SHADOW_DARK
-    for ball in scene.balls:
-        yield Ring(np.array([ball.x_m, ball.y_m]), 0.9 * ball.radius_m), _SHADOW_DARK
+            yield strip(mark.position, mark.position + reach, diameter_m(mark)), 1.0 - goals.shadow_dark
+    if scene.contact_dark > 0.0:
+        for robot in scene.robots:
+            yield Ring(np.array([robot.x_m, robot.y_m]), 0.38 * robot.height_m), 1.0 - scene.contact_dark
+        for ball in scene.balls:
+            yield Ring(np.array([ball.x_m, ball.y_m]), 0.9 * ball.radius_m), 1.0 - scene.contact_dark
 
 
 def _roundness(canvas: Canvas, pillar: Pillar, pixels: Indices, shading: float) -> FloatArray:

@@ -5,9 +5,10 @@ import numpy as np
 from fieldloc.field import FieldMap
 from fieldloc.pose import FloatArray
 from fieldloc.render.canvas import Canvas
+from fieldloc.render.flat import Quad, Ring, strip
 from fieldloc.render.grid import Float32Array, Indices
-from fieldloc.render.scene import Scene, Turf, marks_of
-from fieldloc.render.shapes import Quad, Ring, Shape, strip
+from fieldloc.render.scene import Scene, Turf
+from fieldloc.render.shapes import Shape
 
 _FARTHEST_M = 200.0  # texture ends there
 _OCTAVES = ((0.9, 0.45), (0.25, 0.4), (0.07, 0.5), (0.02, 0.6))  # wavelength in metres, share of the roughness
@@ -24,7 +25,7 @@ def paint_ground(canvas: Canvas, scene: Scene, field_map: FieldMap) -> None:
     colour = _carpet(turf, *_seen_ground(canvas, carpet))
     canvas.light[carpet] += share[:, None].astype(np.float32) * (colour - canvas.light[carpet])
     white = np.zeros(len(canvas.rank), dtype=np.float32)
-    for shape in painted_shapes(scene, field_map):
+    for shape in painted_shapes(field_map):
         on_line, share = canvas.shares(shape)
         white[on_line] = np.maximum(white[on_line], share)
     lined = np.flatnonzero(white)
@@ -36,7 +37,7 @@ def paint_ground(canvas: Canvas, scene: Scene, field_map: FieldMap) -> None:
         _lighten(canvas, turf, below)
 
 
-def painted_shapes(scene: Scene, field_map: FieldMap) -> list[Shape]:
+def painted_shapes(field_map: FieldMap) -> list[Shape]:
     """Lines, circles and marks. A line reaches half its width beyond the map's end points: so corners are square."""
     width = field_map.line_width_m
     out: list[Shape] = []
@@ -45,11 +46,10 @@ def painted_shapes(scene: Scene, field_map: FieldMap) -> list[Shape]:
         out.append(strip(start - beyond, end + beyond, width))
     for x, y, radius in field_map.circles:
         out.append(Ring(np.array([x, y]), radius + 0.5 * width, max(radius - 0.5 * width, 0.0)))
-    if scene.mark_size_m > 0.0:
-        half = 0.5 * scene.mark_size_m
-        for mark in marks_of(field_map):
-            for arm in (np.array([half, 0.0]), np.array([0.0, half])):
-                out.append(strip(mark - arm, mark + arm, min(width, scene.mark_size_m)))
+    half = 0.5 * field_map.mark_size_m
+    for mark in field_map.marks:
+        for arm in (np.array([half, 0.0]), np.array([0.0, half])):
+            out.append(strip(mark - arm, mark + arm, min(width, field_map.mark_size_m)))
     return out
 
 
