@@ -25,6 +25,7 @@ from fieldloc.repetition import inflation
 
 PARTS = ("height_m", "tilt_rad", "roll_rad")
 _ROUNDS = 6
+_SETTLED = 0.1  # of a sigma
 _STEP = np.array([1e-4, 1e-5, 1e-5])  # of height, tilt, roll, where derivatives are taken numerically
 _GATE = 13.8  # chi-square of two numbers, once in a thousand
 _CLEARER = 9.0  # by how much the next best thing on the map must fit worse
@@ -79,7 +80,10 @@ def fit_mount(
         used = len(told)
         if not used:
             break
+        before = error
         error, covariance, wobble = _estimated(told, error, sigmas, wobble)
+        if (np.abs(error - before) < _SETTLED * np.sqrt(np.diagonal(covariance))).all():
+            break
     return MountFit(error, covariance, wobble, used)
 
 
@@ -105,20 +109,22 @@ def _estimated(
     told: list[tuple[_Rows, FloatArray, float]], at: FloatArray, sigmas: FloatArray, wobble: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The constant, its covariance and the wobble after one round; `at`: the constant that the rows are about."""
-    information, vector = np.diag(1.0 / sigmas**2), -at / sigmas**2
+    information: FloatArray = np.diag(1.0 / sigmas**2)
+    vector: FloatArray = -at / sigmas**2
     whitened = []
     for rows, known, share in told:
         spread = np.eye(len(rows.residual)) + rows.by_pose @ known @ rows.by_pose.T
         whole = spread + (rows.by_mount * wobble**2) @ rows.by_mount.T
         misfit = rows.residual @ np.linalg.solve(whole, rows.residual)
-        weight = share * (_TAIL + len(rows.residual)) / (_TAIL + misfit)
+        weight = float(share * (_TAIL + len(rows.residual)) / (_TAIL + misfit))
         solved = np.linalg.solve(whole, np.column_stack([rows.by_mount, rows.residual]))
         information = information + weight * (rows.by_mount.T @ solved[:, :3])
         vector = vector + weight * (rows.by_mount.T @ solved[:, 3])
         whitened.append((rows, solved, weight))
     covariance = np.linalg.inv(information)
     step = covariance @ vector
-    squares, count = _PRIOR_IMAGES * (0.5 * sigmas) ** 2, _PRIOR_IMAGES
+    squares = _PRIOR_IMAGES * (0.5 * sigmas) ** 2
+    count = float(_PRIOR_IMAGES)
     for rows, solved, weight in whitened:
         gain = wobble[:, None] ** 2 * rows.by_mount.T
         mean = gain @ (solved[:, 3] - solved[:, :3] @ step)

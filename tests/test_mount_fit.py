@@ -43,20 +43,20 @@ def fitted(images: list[ImageFeatures], poses: FloatArray) -> MountFit:
 def test_the_constant_error_is_told_as_well_as_is_claimed(posts_only: bool) -> None:
     rng = np.random.default_rng(5)
     distances = []
-    for _ in range(12):
+    for _ in range(8):
         error = SIGMAS * rng.uniform(-1.0, 1.0, 3)
-        found = fitted(*walk(rng, error, 40, posts_only=posts_only))
+        found = fitted(*walk(rng, error, 25, posts_only=posts_only))
         assert (
-            np.sqrt(np.diag(found.covariance)) < [0.7, 0.3, 0.3] * SIGMAS
+            np.sqrt(np.diag(found.covariance)) < [0.8, 0.5, 0.5] * SIGMAS
         ).all()  # feet alone hardly tell the height
         distances.append((found.error - error) @ np.linalg.solve(found.covariance, found.error - error))
-    # chi-square of 36 degrees: below 68 with 99.9 %; poses are taken to be known worse than they are, so it is less
-    assert 8.0 < np.sum(distances) < 68.0
+    # chi-square of 24 degrees: below 52 with 99.9 %; poses are taken to be known worse than they are, so it is less
+    assert 5.0 < np.sum(distances) < 52.0
 
 
 def test_the_wobble_is_told_too() -> None:
     rng = np.random.default_rng(6)
-    found = fitted(*walk(rng, np.array([0.01, -0.02, 0.02]), 120))
+    found = fitted(*walk(rng, np.array([0.01, -0.02, 0.02]), 80))
     assert (found.wobble[1:] > 0.6 * WOBBLE[1:]).all()
     assert (found.wobble[1:] < 1.6 * WOBBLE[1:]).all()
 
