@@ -13,12 +13,13 @@ from fieldloc.vision.settings import VisionSettings
 from fieldloc.vision.straight import Plane
 from fieldloc.vision.turf import Mask
 
-_SPACING_PX = 1.5  # of profiles along a line
+_COARSE_PX, _SPACING_PX = 4.0, 1.5  # of profiles along a line, to come onto it and to measure it
 _FEWEST, _MOST = 12, 120  # profiles of a line
 _EXTRA_PX = 6.0  # beyond the ends that the runs tell
+_LEAST_USED = 8  # profiles with both edges on the line
+_LEAST_SHARE = 0.35  # of the profiles between a line's ends
 _OUTLIER = 3.5  # robust standard deviations from the line
 _FLOOR_PX = 0.02  # of a middle: interpolation between pixels errs by about this much, however long the line
-_LEAST_SHARE = 0.35  # of the profiles between a line's ends with both edges on the line
 _ROUGHEST_PX = 1.0  # standard deviation of the middles about the line, or a share of the width
 _ROUGHEST_SHARE = 0.12
 _BENT = 0.01  # sagitta to length: more bent, and clearly so, is no line; lenses bend less, circles more
@@ -26,175 +27,168 @@ _LAGS = 8  # profiles along the line over which residuals are correlated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """One line's middles: place (m,) along and off (m,) across its segment, pixels of the plane; used: (m,)."""
+class Middles:
+    """Of n lines up to m middles each, in pixels of the plane: place along a line from its first end, off across it,
+    width; (n, m) each. used: (n, m) whether it is one.
+    """
 
     place: FloatArray
     off: FloatArray
     width: FloatArray
     used: Mask
 
+    def line(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The straight lines through (n, m) values over places: middle of the places, value there, slope; (n,) each."""
+        count = np.maximum(self.used.sum(axis=1), 1)
+        middle = np.where(self.used, self.place, 0.0).sum(axis=1) / count
+        mean = np.where(self.used, values, 0.0).sum(axis=1) / count
+        away = np.where(self.used, self.place - middle[:, None], 0.0)
+        spread = (away * away).sum(axis=1)
+        slope = (away * np.where(self.used, values, 0.0)).sum(axis=1) / np.maximum(spread, 1e-9)
+        return middle, mean, slope
+
+    def on_line(self, values: FloatArray, wanted: FloatArray) -> FloatArray:
+        """Those lines at the places wanted (n, k)."""
+        middle, mean, slope = self.line(values)
+        return np.asarray(mean[:, None] + slope[:, None] * (wanted - middle[:, None]))
+
+    def rest(self, values: FloatArray) -> FloatArray:
+        """(n, m) what is left of the values, 0 where not used."""
+        return np.where(self.used, values - self.on_line(values, self.place), 0.0)
+
 
 def fit_lines(grey: UInt8Array, segments: Segments, plane: Plane, settings: VisionSettings) -> tuple[SeenLine, ...]:
     """Those of the segments (in the plane) that are lines in the picture `grey`, in its pixels."""
-    for last in (False, True):  # once to come onto the line, once to measure
-        if len(segments.ends) == 0:
-            return ()
-        fits = _middles(grey, segments, plane, 0.0 if not last else _EXTRA_PX, settings)
-        if last:
-            break
-        segments = _moved(segments, fits)
-    scale = min(grey.shape[1] / 640.0, grey.shape[0] / 480.0)
-    kept = [row for row, fit in enumerate(fits) if _is_line(fit, settings.least_length_px * max(scale, 1.0))]
-    correlation = _correlated([fits[row] for row in kept])
-    return tuple(_seen(segments.ends[row], fits[row], correlation, plane) for row in kept)
+    if len(segments.ends) == 0:
+        return ()
+    segments = _moved(segments, _middles(grey, segments, plane, _COARSE_PX, 0.0, settings))
+    found = _middles(grey, segments, plane, _SPACING_PX, _EXTRA_PX, settings)
+    height, width = grey.shape[:2]
+    scale = max(1.0, min(width / 640.0, height / 480.0))
+    kept = _are_lines(found, settings.least_length_px * scale)
+    found = Middles(found.place[kept], found.off[kept], found.width[kept], found.used[kept])
+    return _seen(segments.ends[kept], found, plane) if kept.any() else ()
 
 
 def _middles(
-    grey: UInt8Array, segments: Segments, plane: Plane, extra_px: float, settings: VisionSettings
-) -> list[Fit]:
-    lengths = segments.lengths
-    counts = np.clip(((lengths + 2 * extra_px) / _SPACING_PX).astype(np.intp), _FEWEST, _MOST)
-    line = np.repeat(np.arange(len(counts)), counts)
-    rank = np.arange(len(line)) - np.repeat(np.cumsum(counts) - counts, counts)
-    share = rank / (counts[line] - 1.0)
-    place = share * (lengths[line] + 2 * extra_px) - extra_px
-    along = (segments.ends[:, 1] - segments.ends[:, 0]) / lengths[:, None]
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    centres = segments.ends[line, 0] + place[:, None] * along[line]
-    width = segments.width_px[line, 0] + (segments.width_px[line, 1] - segments.width_px[line, 0]) * share
-    # In the picture: the normal there, and how many of its pixels one of the plane's is.
-    if plane.is_picture:
-        pixels, normals, zoom = centres, across[line], np.ones(len(line))
-    else:
-        pixels = plane.to_picture(centres)
-        normals = plane.to_picture(centres + across[line]) - plane.to_picture(centres - across[line])
-        zoom = 0.5 * np.hypot(normals[:, 0], normals[:, 1])
-        normals = 0.5 * normals / zoom[:, None]
-    found = measure(grey, pixels, normals, width * zoom)
-    good = found.good & (found.step > 0.6 * settings.least_contrast)
-    fits = []
-    borders = np.cumsum(counts)[:-1]
-    off, wide = found.middle_px / zoom, found.width_px / zoom
-    for part in np.split(np.arange(len(line)), borders):
-        fits.append(_fit(place[part], off[part], wide[part], good[part]))
-    return fits
+    grey: UInt8Array, segments: Segments, plane: Plane, spacing_px: float, extra_px: float, settings: VisionSettings
+) -> Middles:
+    lengths = segments.lengths + 2.0 * extra_px
+    counts = np.clip((lengths / spacing_px).astype(np.intp), _FEWEST, _MOST)
+    real = np.arange(counts.max()) < counts[:, None]
+    share = np.arange(counts.max()) / (counts[:, None] - 1.0)
+    place = share * lengths[:, None] - extra_px
+    row = np.nonzero(real)[0]
+    along = (segments.ends[:, 1] - segments.ends[:, 0]) / segments.lengths[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)[row]
+    centres = segments.ends[row, 0] + place[real][:, None] * along[row]
+    width = (segments.width_px[:, :1] + (segments.width_px[:, 1:] - segments.width_px[:, :1]) * share)[real]
+    pixels, normals, zoom = plane.normals_in_picture(centres, across)
+    profiles = measure(grey, pixels, normals, width * zoom)
+    off, wide = np.zeros(real.shape), np.zeros(real.shape)
+    used = np.zeros(real.shape, dtype=np.bool_)
+    off[real], wide[real] = profiles.middle_px / zoom, profiles.width_px / zoom
+    used[real] = profiles.good & (profiles.step > 0.6 * settings.least_contrast)
+    return _without_outliers(Middles(place, np.nan_to_num(off), np.nan_to_num(wide), used))
 
 
-def _fit(place: FloatArray, off: FloatArray, width: FloatArray, good: Mask) -> Fit:
-    """Leaves out middles and widths that stand apart from those of the others."""
-    used = good.copy()
+def _without_outliers(found: Middles) -> Middles:
+    """Leaves out middles and widths that stand apart from those of the same line."""
+    good = found.used
     for _ in range(4):
-        if np.count_nonzero(used) < 6:
+        count = found.used.sum(axis=1)
+        now = good.copy()
+        for values, least in ((found.off, 0.05), (found.width, 0.1)):
+            off = np.abs(values - found.on_line(values, found.place))
+            ranked = np.sort(np.where(found.used, off, np.inf), axis=1)
+            typical = 1.4826 * ranked[np.arange(len(count)), np.maximum(count - 1, 0) // 2]
+            now &= off < _OUTLIER * np.maximum(typical, least)[:, None]
+        now[count < _LEAST_USED] = False
+        if (now == found.used).all():
             break
-        rest = off - _straight(place, off, used, place)
-        wide = width - _straight(place, width, used, place)
-        limit = _OUTLIER * max(1.4826 * _median(np.abs(rest[used])), 0.05)
-        wide_limit = _OUTLIER * max(1.4826 * _median(np.abs(wide[used])), 0.1)
-        now = good & (np.abs(rest) < limit) & (np.abs(wide) < wide_limit)
-        if (now == used).all():
-            break
-        used = now
-    return Fit(place, off, width, used)
+        found = Middles(found.place, found.off, found.width, now)
+    return found
 
 
-def _straight(place: FloatArray, values: FloatArray, used: Mask, wanted: FloatArray) -> FloatArray:
-    """The straight line through values over places, where they are used, at the places wanted."""
-    x, y = place[used], values[used]
-    middle, mean = x.mean(), y.mean()
-    spread = float(np.sum((x - middle) ** 2))
-    slope = float((x - middle) @ (y - mean)) / spread if spread > 0.0 else 0.0
-    return np.asarray(mean + slope * (wanted - middle))
+def _moved(segments: Segments, found: Middles) -> Segments:
+    """The segments where their middles put them; those with hardly a middle stay where they are."""
+    along = segments.ends[:, 1] - segments.ends[:, 0]
+    lengths = segments.lengths
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / lengths[:, None]
+    ends = np.stack([np.zeros(len(lengths)), lengths], axis=1)
+    off, width = found.on_line(found.off, ends), found.on_line(found.width, ends)
+    some = found.used.sum(axis=1) >= _LEAST_USED
+    width = np.where(some[:, None], np.maximum(width, 0.5 * segments.width_px), segments.width_px)
+    off = np.where(some[:, None], off, 0.0)
+    return Segments(segments.ends + off[:, :, None] * across[:, None], width)
 
 
-def _moved(segments: Segments, fits: list[Fit]) -> Segments:
-    """The segments where the fits put them; those with hardly a middle stay where they are."""
-    ends, widths = segments.ends.copy(), segments.width_px.copy()
-    for row, fit in enumerate(fits):
-        if np.count_nonzero(fit.used) < 6:
-            continue
-        along = ends[row, 1] - ends[row, 0]
-        length = float(np.hypot(along[0], along[1]))
-        across = np.array([-along[1], along[0]]) / length
-        ends[row] += _straight(fit.place, fit.off, fit.used, np.array([0.0, length]))[:, None] * across
-        least = 0.5 * float(np.min(fit.width[fit.used]))
-        widths[row] = np.maximum(_straight(fit.place, fit.width, fit.used, np.array([0.0, length])), least)
-    return Segments(ends, widths)
+def _ends_of(found: Middles) -> FloatArray:
+    """(n, 2) the places of the first and the last middle."""
+    first = np.where(found.used, found.place, np.inf).min(axis=1)
+    last = np.where(found.used, found.place, -np.inf).max(axis=1)
+    return np.stack([first, last], axis=1)
 
 
-def _is_line(fit: Fit, least_length_px: float) -> bool:
-    count = np.count_nonzero(fit.used)
-    if count < 8:
-        return False
-    place = fit.place[fit.used]
-    length = float(place[-1] - place[0])
-    between = (fit.place >= place[0]) & (fit.place <= place[-1])
-    if length < least_length_px or count < _LEAST_SHARE * np.count_nonzero(between):
-        return False
-    off, width = fit.off[fit.used], _median(fit.width[fit.used])
-    rest = off - _straight(fit.place, fit.off, fit.used, place)
-    rough = float(np.sqrt(np.mean(rest * rest)))
-    if rough > max(_ROUGHEST_PX, _ROUGHEST_SHARE * width) or length < 1.5 * width:
-        return False
-    x = 2.0 * (place - place[0]) / length - 1.0
-    bow = x * x - np.mean(x * x)
-    sagitta = float(bow @ rest / (bow @ bow))
-    noise = rough / float(np.sqrt(bow @ bow)) * 2.0  # the residuals of neighbours are alike
-    return not (abs(sagitta) > _BENT * length and abs(sagitta) > 5.0 * noise)
+def _are_lines(found: Middles, least_length_px: float) -> Mask:
+    """(n,) which are long, straight, smooth and gapless enough."""
+    count = found.used.sum(axis=1)
+    some = count >= _LEAST_USED
+    ends = np.where(some[:, None], _ends_of(found), 0.0)
+    length = ends[:, 1] - ends[:, 0]
+    between = ((found.place >= ends[:, :1]) & (found.place <= ends[:, 1:])).sum(axis=1)
+    rest = found.rest(found.off)
+    count = np.maximum(count, 1)
+    width = np.where(found.used, found.width, 0.0).sum(axis=1) / count
+    rough = np.sqrt((rest * rest).sum(axis=1) / count)
+    x = 2.0 * (found.place - ends[:, :1]) / np.maximum(length, 1.0)[:, None] - 1.0
+    bow = np.where(found.used, x * x, 0.0)
+    bow = np.where(found.used, bow - (bow.sum(axis=1) / count)[:, None], 0.0)
+    power = np.maximum((bow * bow).sum(axis=1), 1e-9)
+    sagitta = np.abs((bow * rest).sum(axis=1)) / power
+    noise = 2.0 * rough / np.sqrt(power)  # the residuals of neighbours are alike
+    straight = (sagitta <= _BENT * length) | (sagitta <= 5.0 * noise)
+    smooth = rough <= np.maximum(_ROUGHEST_PX, _ROUGHEST_SHARE * width)
+    long = length >= np.maximum(least_length_px, 1.5 * width)
+    return np.asarray(some & long & smooth & straight & (count >= _LEAST_SHARE * between))
 
 
-def _correlated(fits: list[Fit]) -> float:
-    """By how much residuals alike in neighbours enlarge a variance: 1 + 2 sum of all their autocorrelations."""
-    products = np.zeros(_LAGS + 1)
-    pairs = np.zeros(_LAGS + 1)
-    for fit in fits:
-        rest = np.where(fit.used, fit.off - _straight(fit.place, fit.off, fit.used, fit.place), 0.0)
-        rest /= max(float(np.sqrt(np.mean(rest[fit.used] ** 2))), 1e-6)
-        for lag in range(_LAGS + 1):
-            ahead = slice(lag, None)
-            back = slice(None, len(rest) - lag)
-            products[lag] += rest[ahead] @ rest[back]
-            pairs[lag] += np.count_nonzero(fit.used[ahead] & fit.used[back])
-    if not fits:
-        return 1.0
-    shares = products / np.maximum(pairs, 1.0)
-    return float(1.0 + 2.0 * np.maximum(shares[1:], 0.0).sum())
+def _correlation(rest: FloatArray, used: Mask) -> float:
+    """By how much residuals alike in neighbours enlarge a variance: 1 + 2 sum of all lines' autocorrelations."""
+    typical = np.sqrt((rest * rest).sum(axis=1) / used.sum(axis=1))
+    scaled = rest / np.maximum(typical, 1e-6)[:, None]
+    total = 1.0
+    for lag in range(1, min(_LAGS, rest.shape[1] - 1) + 1):
+        pairs = np.count_nonzero(used[:, lag:] & used[:, :-lag])
+        together = float((scaled[:, lag:] * scaled[:, :-lag]).sum())
+        total += 2.0 * max(0.0, together) / max(int(pairs), 1)
+    return total
 
 
-def _seen(ends: FloatArray, fit: Fit, correlation: float, plane: Plane) -> SeenLine:
-    along = ends[1] - ends[0]
-    along = along / np.hypot(along[0], along[1])
-    across = np.array([-along[1], along[0]])
-    place = fit.place[fit.used]
-    at = place[[0, -1]]
-    count = len(place)
-    basis = np.stack([np.ones(count), place - place.mean()], axis=1)
-    inverse = np.linalg.inv(basis.T @ basis)
-    to_ends = np.stack([np.ones(2), at - place.mean()], axis=1)
-    shape = to_ends @ inverse @ to_ends.T * correlation / (count - 2.0)
-    rest = fit.off[fit.used] - _straight(fit.place, fit.off, fit.used, place)
-    off = _straight(fit.place, fit.off, fit.used, at)
-    points = ends[0] + at[:, None] * along + off[:, None] * across
-    width = _straight(fit.place, fit.width, fit.used, at)
-    wide = fit.width[fit.used] - _straight(fit.place, fit.width, fit.used, place)
-    covariance = shape * float(rest @ rest)
-    width_sigma = np.sqrt(shape.diagonal() * float(wide @ wide) + 2.0 * _FLOOR_PX**2)
-    pixels = plane.to_picture(points)
-    normals = 0.5 * (plane.to_picture(points + across) - plane.to_picture(points - across))
-    zoom = np.hypot(normals[:, 0], normals[:, 1])
-    normals = normals / zoom[:, None]
-    covariance = covariance * np.outer(zoom, zoom) + _FLOOR_PX**2 * np.eye(2)
-    full = np.zeros((4, 4))
-    for row in range(2):
-        tangent = np.array([-normals[row, 1], normals[row, 0]])
-        block = slice(2 * row, 2 * row + 2)
-        # Along it nothing is known of an end; what stands there only keeps the matrix positive.
-        full[block, block] = covariance[row, row] * (np.outer(normals[row], normals[row]) + np.outer(tangent, tangent))
-    full[:2, 2:] = covariance[0, 1] * np.outer(normals[0], normals[1])
-    full[2:, :2] = full[:2, 2:].T
-    return SeenLine(pixels, full, width * zoom, width_sigma * zoom)
-
-
-def _median(values: FloatArray) -> float:
-    """Much faster than NumPy's for few values."""
-    return float(np.sort(values)[len(values) // 2])
+def _seen(ends: FloatArray, found: Middles, plane: Plane) -> tuple[SeenLine, ...]:
+    along = ends[:, 1] - ends[:, 0]
+    along = along / np.hypot(along[:, :1], along[:, 1:])
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    at = _ends_of(found)
+    count = found.used.sum(axis=1)
+    rest, wide = found.rest(found.off), found.rest(found.width)
+    # Least squares of a straight line: the covariance of its values at the ends, for a variance of 1 of each middle.
+    middle, _, _ = found.line(found.off)
+    spread = (np.where(found.used, found.place - middle[:, None], 0.0) ** 2).sum(axis=1)
+    away = at - middle[:, None]
+    shape = 1.0 / count[:, None, None] + away[:, :, None] * away[:, None, :] / spread[:, None, None]
+    shape = shape * _correlation(rest, found.used) / (count - 2.0)[:, None, None]
+    covariance = shape * (rest * rest).sum(axis=1)[:, None, None]
+    width_variance = shape.diagonal(axis1=1, axis2=2) * (wide * wide).sum(axis=1)[:, None] + 2.0 * _FLOOR_PX**2
+    points = ends[:, :1] + at[:, :, None] * along[:, None] + found.on_line(found.off, at)[:, :, None] * across[:, None]
+    pixels, normals, zoom = plane.normals_in_picture(points, np.broadcast_to(across[:, None], points.shape))
+    covariance = covariance * zoom[:, :, None] * zoom[:, None, :] + _FLOOR_PX**2 * np.eye(2)
+    # Along it nothing is known of an end; what stands there, as much as across it, only keeps the matrix positive.
+    tangents = np.stack([-normals[..., 1], normals[..., 0]], axis=-1)
+    full = np.einsum("nij,nia,njb->niajb", covariance, normals, normals)
+    own = covariance.diagonal(axis1=1, axis2=2)
+    full[:, [0, 1], :, [0, 1]] += np.einsum("ni,nia,nib->inab", own, tangents, tangents)
+    full = full.reshape(-1, 4, 4)
+    widths = np.maximum(found.on_line(found.width, at), 0.0) * zoom
+    sigmas = np.sqrt(width_variance) * zoom
+    return tuple(SeenLine(*row) for row in zip(pixels, full, widths, sigmas, strict=True))

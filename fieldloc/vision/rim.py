@@ -34,10 +34,7 @@ def trace(
         seen = np.isfinite(widths)
         points, normals, widths = points[seen], normals[seen], widths[seen]
         widths = widths * np.abs(normals).max(axis=1)
-        pixels = plane.to_picture(points)
-        across = 0.5 * (plane.to_picture(points + normals) - plane.to_picture(points - normals))
-        zoom = np.hypot(across[:, 0], across[:, 1])
-        across = across / zoom[:, None]
+        pixels, across, zoom = plane.normals_in_picture(points, normals)
         found = measure(grey, pixels, across, widths * zoom)
         good = found.good & (found.step > 0.6 * settings.least_contrast)
         middles = points + (found.middle_px / zoom)[:, None] * normals

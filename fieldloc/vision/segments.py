@@ -1,5 +1,6 @@
 """Chains of white runs -> straight pieces: split where they bend, put together where they go on behind something."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,15 +41,19 @@ def straight_pieces(chains: list[FloatArray], least_length_px: float) -> Segment
         along = chord / length
         off = (chain[:, 1] - chain[0, 1]) * along[0] - (chain[:, 0] - chain[0, 0]) * along[1]
         # A run's width is along its scan line, which is the axis the chain goes across.
-        width = float(np.median(chain[:, 2])) * max(abs(along[0]), abs(along[1]))
-        slack = max(_BEND_PX, _BEND_SHARE * width)
-        middle = float(np.median(off))
-        if np.quantile(np.abs(off - middle), 0.9) <= 0.5 * slack and np.abs(off - middle).max() <= 2.0 * slack:
+        slant = max(abs(along[0]), abs(along[1]))
+        # Neighbours tell how rough the white's edges are: noise is no bend.
+        rough = float(np.abs(off[2:] - 2.0 * off[1:-1] + off[:-2]).sum()) / (2.0 * (len(off) - 2))
+        slack = max(_BEND_PX, _BEND_SHARE * float(chain[:, 2].sum()) / len(chain) * slant) + rough
+        mean = float(off.sum()) / len(off)
+        if (
+            max(off.max() - mean, mean - off.min()) <= 2.0 * slack
+            and off @ off / len(off) - mean * mean <= (0.4 * slack) ** 2
+        ):
             ends.append(_fitted(chain[:, :2]))
-            widths.append(_tapered(chain[:, 2]) * max(abs(along[0]), abs(along[1])))
+            widths.append(_tapered(chain[:, 2]) * slant)
             continue
-        split = int(np.argmax(np.abs(off)))
-        split = min(max(split, 1), len(chain) - 2)
+        split = min(max(int(np.abs(off).argmax()), 1), len(chain) - 2)
         todo += [chain[: split + 1], chain[split:]]
     return Segments(np.array(ends).reshape(-1, 2, 2), np.array(widths).reshape(-1, 2))
 
@@ -56,21 +61,28 @@ def straight_pieces(chains: list[FloatArray], least_length_px: float) -> Segment
 def _fitted(points: FloatArray) -> FloatArray:
     """(2, 2): the ends of the straight line through points in order, which pays little heed to the odd one far off."""
     weights = np.ones(len(points))
-    for _ in range(3):
-        mean = weights @ points / weights.sum()
+    for _ in range(2):
+        mean, along = _principal(points, weights)
         centred = points - mean
-        moments = (weights[:, None] * centred).T @ centred
-        angle = 0.5 * np.arctan2(2.0 * moments[0, 1], moments[0, 0] - moments[1, 1])
-        along = np.array([np.cos(angle), np.sin(angle)])
-        off = centred @ np.array([-along[1], along[0]])
-        weights = 1.0 / (1.0 + (off / max(float(np.median(np.abs(off))), 0.1) / 3.0) ** 2)
+        off = centred[:, 1] * along[0] - centred[:, 0] * along[1]
+        typical = max(float(np.abs(off).sum()) / len(off), 0.1)
+        weights = 1.0 / (1.0 + (off / (2.0 * typical)) ** 2)
     return np.asarray(mean + (centred[[0, -1]] @ along)[:, None] * along)
+
+
+def _principal(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (2,) and main direction (2,) of weighted points."""
+    mean = weights @ points / weights.sum()
+    u, v = (points - mean).T
+    weighted = weights * u
+    angle = 0.5 * math.atan2(2.0 * float(weighted @ v), float(weighted @ u - (weights * v) @ v))
+    return mean, np.array([math.cos(angle), math.sin(angle)])
 
 
 def _tapered(width: FloatArray) -> FloatArray:
     """(2,) the width at either end of a piece, from the medians of its halves."""
     half = len(width) // 2
-    first, second = float(np.median(width[:half])), float(np.median(width[half:]))
+    first, second = float(np.sort(width[:half])[half // 2]), float(np.sort(width[half:])[half // 2])
     taper = 0.5 * (second - first)
     return np.asarray(np.maximum([first - taper, second + taper], 0.5 * min(first, second)))
 
@@ -118,11 +130,6 @@ def _line_at_ends(place: FloatArray, width: FloatArray, weight: FloatArray) -> F
 def _joint(ends: FloatArray, weight: FloatArray) -> FloatArray:
     """(2, 2): one line through segments (k, 2, 2), each with a weight, from end to end."""
     points = np.concatenate([ends[:, 0], ends.mean(axis=1), ends[:, 1]])
-    weights = np.tile(weight, 3)
-    mean = weights @ points / weights.sum()
-    centred = points - mean
-    moments = (weights[:, None] * centred).T @ centred
-    angle = 0.5 * np.arctan2(2.0 * moments[0, 1], moments[0, 0] - moments[1, 1])
-    along = np.array([np.cos(angle), np.sin(angle)])
-    place = centred @ along
+    mean, along = _principal(points, np.tile(weight, 3))
+    place = (points - mean) @ along
     return np.asarray(mean + np.array([[place.min()], [place.max()]]) * along)

@@ -37,6 +37,16 @@ class Plane:
         pixels, _ = self.camera.project(np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1))
         return pixels
 
+    def normals_in_picture(self, points: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of points (..., 2) and unit vectors there, both in the plane: the pixels (..., 2), the unit vectors in the
+        picture, and how many of the picture's pixels one of the plane's is along them (...,).
+        """
+        if self.is_picture:
+            return points, across, np.ones(points.shape[:-1])
+        vectors = 0.5 * (self.to_picture(points + across) - self.to_picture(points - across))
+        zoom = np.hypot(vectors[..., 0], vectors[..., 1])
+        return self.to_picture(points), vectors / zoom[..., None], zoom
+
     @property
     def _focal(self) -> FloatArray:
         assert self.camera is not None

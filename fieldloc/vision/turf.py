@@ -68,17 +68,19 @@ def find_turf(picture: UInt8Array) -> Turf:
     scale = np.array([width / size[0], height / size[1]])
     small = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     coloured = _coloured(small)
-    coverage = _large_parts(coloured)
-    tops = _tops(coverage)
+    dense = _dense(coloured)
+    tops = _tops(dense)
     seen = np.isfinite(tops)
-    if np.count_nonzero(coverage) < _LEAST_SHARE * coverage.size or not seen.any():
-        return Turf(np.zeros(coverage.shape, dtype=np.bool_), scale, None, np.zeros(3))
+    if np.count_nonzero(dense) < _LEAST_SHARE * dense.size or not seen.any():
+        return Turf(np.zeros(coloured.shape, dtype=np.bool_), scale, None, np.zeros(3))
+    coarser = np.array([size[0] / dense.shape[1], size[1] / dense.shape[0]])
     border = _upper_hull(np.stack([np.flatnonzero(seen).astype(np.float64), tops[seen]], axis=1))
+    border = (border + 0.5) * coarser - 0.5
     # The hull's ends reach to the picture's sides, level, so that the border is told for every column.
     border = np.concatenate([[[-0.5, border[0, 1]]], border, [[size[0] - 0.5, border[-1, 1]]]])
     rows = np.arange(size[1])[:, None]
     mask = (coloured > 0) & (rows >= np.interp(np.arange(size[0]), border[:, 0], border[:, 1]))
-    colour = np.asarray(cv2.mean(small, mask.astype(np.uint8))[:3])
+    colour = np.asarray(cv2.mean(small, mask.view(np.uint8))[:3])
     return Turf(mask, scale, (border + 0.5) * scale - 0.5, colour)
 
 
@@ -86,7 +88,7 @@ def _coloured(small: UInt8Array) -> UInt8Array:
     """255 where a pixel has the hue that is the turf's in this picture, in sun or shadow."""
     hsv = np.asarray(cv2.cvtColor(small, cv2.COLOR_BGR2HSV), dtype=np.uint8)
     chroma = np.asarray(cv2.multiply(hsv[:, :, 1], hsv[:, :, 2], scale=1 / 255), dtype=np.uint8)
-    hue, vivid, saturation = hsv[::2, ::2, 0], chroma[::2, ::2], hsv[::2, ::2, 1]
+    hue, vivid, saturation = hsv[::3, ::3, 0], chroma[::3, ::3], hsv[::3, ::3, 1]
     rows = np.broadcast_to(np.linspace(0.2, 1.0, len(hue))[:, None], hue.shape)
     green = (hue >= _HUES[0]) & (hue <= _HUES[1]) & (saturation >= _SATURATION) & (vivid >= _CHROMA)
     if not green.any():
@@ -106,11 +108,15 @@ def _coloured(small: UInt8Array) -> UInt8Array:
     return np.asarray(cv2.bitwise_and(coloured, cv2.inRange(chroma, darker, 255)), dtype=np.uint8)
 
 
-def _large_parts(coloured: UInt8Array) -> Mask:
-    """Without specks of the colour: grass is dense, and a field's parts between lines and shadows are large."""
-    dense = np.asarray(cv2.boxFilter(coloured, -1, (7, 7)) > 255 * _DENSE, dtype=np.uint8)
+def _dense(coloured: UInt8Array) -> Mask:
+    """Where most pixels have the colour, on a grid twice as coarse; without specks: grass is dense, and a field's parts
+    between lines and shadows are large.
+    """
+    size = max(1, coloured.shape[1] // 2), max(1, coloured.shape[0] // 2)
+    half = cv2.boxFilter(cv2.resize(coloured, size, interpolation=cv2.INTER_AREA), -1, (3, 3))
+    dense = np.asarray(half > 255 * _DENSE, dtype=np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=4, ltype=cv2.CV_16U)
-    large = stats[:, cv2.CC_STAT_AREA] >= _LEAST_PART * coloured.size
+    large = stats[:, cv2.CC_STAT_AREA] >= _LEAST_PART * dense.size
     large[0] = False
     return np.asarray(large[labels], dtype=np.bool_)
 
@@ -131,14 +137,12 @@ def _tops(mask: Mask) -> FloatArray:
 
 def _upper_hull(points: FloatArray) -> FloatArray:
     """The corners, from left to right, of the upper convex hull of points (n, 2) sorted by u (v grows downwards)."""
-    hull: list[FloatArray] = []
-    for point in points:
-        while len(hull) > 1 and _cross(hull[-2], hull[-1], point) <= 0:
+    hull: list[tuple[float, float]] = []
+    for u, v in points.tolist():
+        while len(hull) > 1:
+            (s, t), (x, y) = hull[-2], hull[-1]
+            if (x - s) * (v - t) - (u - s) * (y - t) > 0.0:
+                break
             hull.pop()
-        hull.append(point)
+        hull.append((u, v))
     return np.array(hull)
-
-
-def _cross(first: FloatArray, second: FloatArray, third: FloatArray) -> float:
-    (u, v), (s, t) = second - first, third - first
-    return float(u * t - v * s)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fieldloc.pose import FloatArray
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.settings import VisionSettings
-from fieldloc.vision.turf import Turf
+from fieldloc.vision.turf import Mask, Turf
 
 Single = NDArray[np.float32]
 
@@ -44,6 +44,9 @@ class Runs:
         return 0.5 * (self.first_px + self.last_px)
 
 
+_NONE = Runs(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
 def weights_of(colour: FloatArray) -> FloatArray:
     """(3,) for blue, green and red, of sum 1: the sum of a pixel's colours in which white stands out most from turf."""
     green = max(float(colour[1]), 1.0)
@@ -59,11 +62,16 @@ def grey_of(picture: UInt8Array, turf: Turf) -> UInt8Array:
 def find_runs(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> tuple[Runs, Runs]:
     """The runs on scan lines down the picture and on those across it, in its pixels."""
     height, width = picture.shape[:2]
-    level = _turf_level(picture, turf, settings)
-    down = _reduced(picture, max(1, width // SCAN_STEP_PX), height)
-    across = _reduced(picture, width, max(1, height // SCAN_STEP_PX))
-    first = _runs(down.transpose(1, 0, 2), level.T, turf, width, settings.widest * height, True)
-    second = _runs(across, level, turf, height, settings.widest * height, False)
+    if turf.boundary_px is None:
+        return _NONE, _NONE
+    # Nothing above the field's border is looked at.
+    above = max(0, int(turf.boundary_px[:, 1].min() / turf.scale[1]) - 2)
+    top = round(above * turf.scale[1])
+    picture, level = picture[top:], _turf_level(picture[top:], turf, turf.mask[above:], settings)
+    down = _reduced(picture, max(1, width // SCAN_STEP_PX), height - top)
+    across = _reduced(picture, width, max(1, (height - top) // SCAN_STEP_PX))
+    first = _runs(down.transpose(1, 0, 2), level.T, turf, (0, width), top, settings.widest * height, True)
+    second = _runs(across, level, turf, (top, height), 0, settings.widest * height, False)
     return first, second
 
 
@@ -71,41 +79,56 @@ def _reduced(picture: UInt8Array, width: int, height: int) -> UInt8Array:
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _turf_level(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> Single:
-    """On the turf's grid: what has to be exceeded to be no turf, from the turf around."""
-    size = turf.mask.shape[1], turf.mask.shape[0]
+def _turf_level(picture: UInt8Array, turf: Turf, turf_mask: Mask, settings: VisionSettings) -> Single:
+    """On a grid twice as coarse as the turf's mask: what has to be exceeded to be no turf, from the turf around."""
+    size = turf_mask.shape[1], turf_mask.shape[0]
     grey = grey_of(_reduced(picture, *size), turf).astype(np.float32)
-    mask = turf.mask.astype(np.float32)
-    wide, near = max(3, size[0] // _WIDE_SHARE), max(3, size[0] // _NEAR_SHARE)
+    mask = turf_mask.astype(np.float32)
+    wide, near = max(3, size[0] // _WIDE_SHARE // 2), max(3, size[0] // _NEAR_SHARE // 2)
     far_mean, far_spread, _ = _around(grey, mask, wide)
-    mask *= np.abs(grey - far_mean) < _CLIP * far_spread
+    mask = _unlike(grey, mask, far_mean, far_spread)
     # Once more without what stands out from the turf close by: lines as pale as turf, which are in the mask.
     mean, spread, share = _around(grey, mask, near)
-    mask *= np.abs(grey - mean) < _CLIP * spread
+    mask = _unlike(grey, mask, mean, spread)
     mean, spread, share = _around(grey, mask, near)
     # Beside something wide there is none close by.
     few = share < _LEAST_SHARE
-    mean[few], spread[few] = far_mean[few], far_spread[few]
+    mean, spread = np.where(few, far_mean, mean), np.where(few, far_spread, spread)
     return np.asarray(mean + np.maximum(_SIGMAS * _CLIPPED * spread, settings.least_contrast), dtype=np.float32)
 
 
-def _around(grey: Single, mask: Single, window_px: int) -> tuple[Single, Single, Single]:
+def _around(grey: Single, mask: Single, window: int) -> tuple[Single, Single, Single]:
     """Mean and standard deviation of what is in the mask in a window around each pixel, and the mask's share of it.
 
-    255 and 0 where that is nothing: no pixel exceeds it.
+    255 and 0 where that is nothing: no pixel exceeds it. On a grid twice as coarse.
     """
-    window = (window_px, window_px)
-    share = np.asarray(cv2.boxFilter(mask, -1, window), dtype=np.float32)
+    size = max(1, grey.shape[1] // 2), max(1, grey.shape[0] // 2)
+    masked = grey * mask
+    share, mean, square = (
+        np.asarray(
+            cv2.boxFilter(cv2.resize(part, size, interpolation=cv2.INTER_AREA), -1, (window, window)), np.float32
+        )
+        for part in (mask, masked, grey * masked)
+    )
     count = share + np.float32(1e-3)
-    mean = np.asarray(cv2.boxFilter(grey * mask, -1, window) / count, dtype=np.float32)
-    square = np.asarray(cv2.boxFilter(grey * grey * mask, -1, window) / count, dtype=np.float32)
-    spread = np.sqrt(np.maximum(square - mean * mean, 0.0))
-    mean[share < 0.01] = 255.0
-    return mean, spread, share
+    mean = mean / count
+    spread = np.sqrt(np.maximum(square / count - mean * mean, np.float32(0.0)))
+    return np.where(share < 0.01, np.float32(255.0), mean).astype(np.float32), spread, share
 
 
-def _runs(lines: UInt8Array, level: Single, turf: Turf, extent_px: int, widest_px: float, down: bool) -> Runs:
-    """lines: (n, length, 3) a scan line per row. level: `_turf_level`, a scan line per row. extent_px: across them."""
+def _unlike(grey: Single, mask: Single, mean: Single, spread: Single) -> Single:
+    """The mask without pixels that are farther from the mean around than turf is."""
+    size = grey.shape[1], grey.shape[0]
+    around, limit = cv2.resize(mean, size), cv2.resize(np.float32(_CLIP) * spread, size)
+    return np.asarray(mask * (np.abs(grey - around) < limit), dtype=np.float32)
+
+
+def _runs(
+    lines: UInt8Array, level: Single, turf: Turf, extent: tuple[int, int], origin: int, widest_px: float, down: bool
+) -> Runs:
+    """lines: (n, length, 3) a scan line per row. level: `_turf_level`, a scan line per row. extent: the pixels across
+    the scan lines, from and to; origin: the first pixel along them.
+    """
     count, length = lines.shape[:2]
     lines = np.ascontiguousarray(lines)
     grey = np.asarray(cv2.GaussianBlur(grey_of(lines, turf), (3, 1), 0), dtype=np.uint8)
@@ -124,9 +147,29 @@ def _runs(lines: UInt8Array, level: Single, turf: Turf, extent_px: int, widest_p
     scan, first, last = scan[inside], first[inside], last[inside]
     begins = first - _beyond(grey, bar, scan, first, first - 1)
     ends = last + _beyond(grey, bar, scan, last, last + 1)
-    kept = _between_turf(lines, turf, scan, begins, ends, extent_px, down)
-    at_px = (scan + 0.5) * (extent_px / count) - 0.5
-    return Runs(scan[kept], at_px[kept], begins[kept], ends[kept])
+    at_px = (scan + 0.5) * ((extent[1] - extent[0]) / count) - 0.5 + extent[0]
+    beside = np.zeros((len(scan), 3))
+    kept = np.ones(len(scan), dtype=np.bool_)
+    width = ends - begins
+    for border, sign in ((begins, -1.0), (ends, 1.0)):
+        kept &= _turf_beyond(turf, at_px, border + origin, sign, width, down)
+        place = np.clip(np.rint(border + sign * (2.0 + 0.15 * width)), 0, length - 1).astype(np.intp)
+        beside += 0.5 * lines[scan, place]
+    step = lines[scan, np.rint(0.5 * (begins + ends)).astype(np.intp)] - beside
+    kept &= step @ weights_of(turf.colour) > _COLOUR_STEP * step[:, 1]
+    kept &= step.min(axis=1) > 0.5 * _COLOUR_STEP * step[:, 1]
+    return Runs(scan[kept], at_px[kept], begins[kept] + origin, ends[kept] + origin)
+
+
+def _turf_beyond(
+    turf: Turf, at_px: FloatArray, border_px: FloatArray, sign: float, width: FloatArray, down: bool
+) -> Mask:
+    """Whether there is turf beyond a run's end; a thin line's halo in the compressed colours reaches some pixels."""
+    found = np.zeros(len(at_px), dtype=np.bool_)
+    for away in (1.5, 3.5, 6.0):
+        place = border_px + sign * (away + 0.15 * width)
+        found |= turf.at(np.stack([at_px, place] if down else [place, at_px], axis=1))
+    return found
 
 
 def _beyond(
@@ -136,33 +179,3 @@ def _beyond(
     above = grey[scan, inner] - bar[scan, inner].astype(np.float64)
     below = bar[scan, outer].astype(np.float64) - grey[scan, outer]
     return np.clip(above / np.maximum(above + below, 1e-6), 0.0, 1.0)
-
-
-def _between_turf(
-    lines: UInt8Array,
-    turf: Turf,
-    scan: NDArray[np.intp],
-    begins: FloatArray,
-    ends: FloatArray,
-    extent_px: int,
-    down: bool,
-) -> NDArray[np.bool_]:
-    """Which runs have turf on either side, and are white beside it."""
-    count, length = lines.shape[:2]
-    width, middle = ends - begins, 0.5 * (begins + ends)
-    at_px = (scan + 0.5) * (extent_px / count) - 0.5
-    kept = np.ones(len(scan), dtype=np.bool_)
-    beside = np.zeros((len(scan), 3))
-    for border, sign in ((begins, -1.0), (ends, 1.0)):
-        green = np.zeros(len(scan), dtype=np.bool_)
-        for away in (1.5, 3.5, 6.0):  # a thin line's halo in the compressed colours reaches some pixels
-            place = border + sign * (away + 0.15 * width)
-            points = np.stack([at_px, place] if down else [place, at_px], axis=1)
-            green |= turf.at(points)
-        kept &= green
-        place = np.clip(np.rint(border + sign * (2.0 + 0.15 * width)), 0, length - 1).astype(np.intp)
-        beside += 0.5 * lines[scan, place]
-    weights = weights_of(turf.colour)
-    step = lines[scan, np.rint(middle).astype(np.intp)] - beside
-    white = (step @ weights > _COLOUR_STEP * step[:, 1]) & (step.min(axis=1) > 0.5 * _COLOUR_STEP * step[:, 1])
-    return np.asarray(kept & white, dtype=np.bool_)
