@@ -5,8 +5,9 @@ sight (detections as rays) -> attitude (how the camera may be turned) -> candida
 """
 
 from fieldloc.locate.hypotheses import Hypothesis, Located
-from fieldloc.locate.locate import locate
+from fieldloc.locate.mixture import mixture
+from fieldloc.locate.pipeline import locate
 from fieldloc.locate.prior import CameraPrior
 from fieldloc.locate.settings import LocateSettings
 
-__all__ = ["CameraPrior", "Hypothesis", "LocateSettings", "Located", "locate"]
+__all__ = ["CameraPrior", "Hypothesis", "LocateSettings", "Located", "locate", "mixture"]

@@ -123,7 +123,7 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
 def _widths_fit(noise: Noise, px_per_m: FloatArray) -> FloatArray:
     """(k, l, m) log density of the widths, less that of any width; zero where they are not known."""
     sight = noise.sight
-    known = np.asarray(np.isfinite(sight.widths))
+    known = np.asarray(np.isfinite(sight.widths), dtype=np.bool_)
     seen, sigma = np.where(known, sight.widths, 0.0), np.where(known, sight.width_sigmas, 1.0)
     expected = np.minimum(px_per_m * noise.shape.line_width_m, 1e3)
     variance = (sigma**2 + _WIDTH_PX**2)[..., None] + (_WIDTH * expected) ** 2

@@ -12,7 +12,7 @@ from fieldloc.pose import FloatArray, wrap
 _LONGEST = np.array([0.7, 0.7, 0.25, 0.25, 0.12, 0.12])  # a step: metres and radians
 _LOWEST_M, _HIGHEST_M = 0.05, 6.0
 _STEEPEST_RAD = 1.5
-_WEAK = np.array([1e-6, 1e-6, 1e-6])  # of the pose, which is free
+_ANYWHERE = np.array([4.0, 4.0, 1.8])  # standard deviations of a pose that may be any on a field: metres and radians
 _ROBUST = 9.0  # chi2 per number from which a thing counts less and less
 
 
@@ -37,7 +37,7 @@ def linearise(cameras: Cameras, noise: Noise, matches: Matches, prior: CameraPri
     pulled = off @ weight
     information, gradient = np.zeros((count, 6, 6)), np.zeros((count, 6))
     information[:, 3:, 3:] = weight
-    information[:, [0, 1, 2], [0, 1, 2]] = _WEAK
+    information[:, [0, 1, 2], [0, 1, 2]] = _ANYWHERE**-2.0
     gradient[:, 3:] = pulled
     misfit, numbers, log_norm = np.zeros(count), np.zeros(count), np.zeros(count)
 

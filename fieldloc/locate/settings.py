@@ -22,5 +22,5 @@ class LocateSettings:
     seen_circle: float = 0.7
     none_right: float = 0.05
     trust: float = 0.5
-    candidates: int = 48
-    hypotheses: int = 12
+    candidates: int = 64
+    hypotheses: int = 40

@@ -25,7 +25,8 @@ _ANNEALED_PX = (12.0, 8.0, 4.0, 2.0, 1.0)  # by how much they may be off, step b
 _LAST_STEPS = 4
 _SCALES = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the model's noise, as variances: what residuals decide
 _SAME_M, _SAME_RAD = 0.1, 0.03
-_LEAST_NUMBERS = 5  # seen, of a pose with six unknowns of which three are known somewhat
+_LEAST_NUMBERS = 4  # of a pose, height and attitude known somewhat
+_UNKNOWN = np.array([1.5, 1.5, 0.5])  # standard deviations of what is no pose any more
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _NEGLIGIBLE = 1e-4
 
@@ -56,9 +57,10 @@ def locate(
     for _ in range(_LAST_STEPS):
         states, _, _ = _improved(states, noise, prior)
     states, matches, step, log_evidence = _settled(states, sight, shape, prior, settings)
-    enough = step.numbers >= _LEAST_NUMBERS
-    states, log_evidence = states[enough], log_evidence[enough]
-    covariances = np.asarray(np.linalg.inv(step.information[enough]), dtype=np.float64)
+    covariances = np.asarray(np.linalg.inv(step.information), dtype=np.float64)
+    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    enough = (step.numbers >= _LEAST_NUMBERS) & (sigmas[:, :3] < _UNKNOWN).all(axis=1)
+    states, log_evidence, covariances = states[enough], log_evidence[enough], covariances[enough]
     rows = np.flatnonzero(enough)
     return _answer(states, covariances, log_evidence, matches, rows, sight, detections, shape, settings)
 
