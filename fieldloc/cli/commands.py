@@ -68,6 +68,12 @@ def positive(text: str) -> float:
     raise argparse.ArgumentTypeError(f"'{text}' is not a number above 0")
 
 
+def seed(text: str) -> int:
+    if text.isascii() and text.isdigit():
+        return int(text)
+    raise argparse.ArgumentTypeError(f"'{text}' is not a whole number, 0 or more")
+
+
 def seconds_from_start(text: str) -> float:
     with suppress(ValueError):
         if 0.0 <= (value := float(text)) < np.inf:

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from fieldloc.cli import calibrating, detecting, editing, localize, locating, recordings, results, viewing
+from fieldloc.cli import calibrating, detecting, editing, localize, locating, recordings, rendering, results, viewing
 from fieldloc.cli.commands import Commands, Parser
 
 
@@ -22,7 +22,7 @@ def _parser() -> Parser:
     parser.add_argument("--version", action="version", version=version("fieldloc"))
     parser.set_defaults(quiet=False)
     commands = Commands(parser.add_subparsers(metavar="COMMAND", required=True))
-    for family in (recordings, detecting, localize, locating, calibrating, results, viewing, editing):
+    for family in (recordings, rendering, detecting, localize, locating, calibrating, results, viewing, editing):
         family.add_commands(commands)
     parser.epilog = "\n  ".join(["examples:", *commands.examples])
     return parser
@@ -32,7 +32,7 @@ def _with_minus(arguments: Sequence[str]) -> list[str]:
     """`--start -2,0,90` as `--start=-2,0,90`: argparse takes what begins with a minus for an option."""
     out: list[str] = []
     for argument in arguments:
-        if out and out[-1] == "--start":
+        if out and out[-1] in ("--start", "--pose"):
             out[-1] += f"={argument}"
         else:
             out.append(argument)

@@ -5,7 +5,7 @@ import json
 from functools import partial
 from pathlib import Path
 
-from fieldloc.cli.commands import Commands, Parser, positive
+from fieldloc.cli.commands import Commands, Parser, positive, seed
 from fieldloc.cli.reading import add_meaning_options, open_log
 from fieldloc.cli.terminal import bar, say, warn
 from fieldloc.errors import FieldlocError
@@ -29,7 +29,7 @@ def add_commands(commands: Commands) -> None:
     sub = commands.add("simulate", _simulate, what, example)
     sub.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="default: SCENARIO-SEED.mcap")
     sub.add_argument("--scenario", default="kidsize-game", metavar="NAME|FILE.toml", help="default: %(default)s")
-    sub.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed is the same game")
+    sub.add_argument("--seed", type=seed, default=0, metavar="N", help="the same seed is the same game")
     sub.add_argument("--duration-s", type=positive, metavar="S", help="in place of the scenario's")
     sub.add_argument(
         "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", help="one setting of the scenario"
@@ -90,9 +90,3 @@ def _info(options: argparse.Namespace) -> None:
         summary = summarize(log)
     print(json.dumps(summary_document(summary, log.container), indent=1) if options.json else format_summary(summary))
     warn(summary.warnings)
-
-
-def _seed(text: str) -> int:
-    if text.isascii() and text.isdigit():
-        return int(text)
-    raise argparse.ArgumentTypeError(f"'{text}' is not a whole number, 0 or more")

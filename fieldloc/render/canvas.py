@@ -4,18 +4,27 @@ import numpy as np
 
 from fieldloc.pose import FloatArray
 from fieldloc.render.grid import Eye, Float32Array, Indices
+from fieldloc.render.scene import Colour
 from fieldloc.render.shapes import Shape
 
 
 class Canvas:
-    """light: (n, 3) of all pixels. rank: (n,) of what covers most of a pixel: 0 ground and sky, then as painted."""
+    """light: (n, 3) of all pixels. rank: (n,) of what covers most of a pixel: 0 ground and sky, then as painted.
 
-    def __init__(self, eye: Eye) -> None:
+    gamma: of the picture that it will be; light is what adds up, before it.
+    """
+
+    def __init__(self, eye: Eye, gamma: float = 1.0) -> None:
         self.eye = eye
+        self._gamma = gamma
         count = len(eye.rays)
         self.light: Float32Array = np.zeros((count, 3), dtype=np.float32)
         self.rank = np.zeros(count, dtype=np.int16)
         self._painted = 0
+
+    def light_of(self, colour: Colour) -> Float32Array:
+        """(3,): the light that looks like this in the picture."""
+        return np.asarray(255.0 * (np.array(colour) / 255.0) ** self._gamma, dtype=np.float32)
 
     def shares(self, shape: Shape) -> tuple[Indices, FloatArray]:
         """Pixels (m,) on which the shape is, hidden or not, and the share (m,) of each that it covers."""
@@ -34,11 +43,11 @@ class Canvas:
         some = share > 0.0
         return pixels[some], share[some]
 
-    def paint(self, pixels: Indices, share: FloatArray, colour: FloatArray) -> int:
-        """Lay a colour, (3,) or (m, 3), over pixels; the rank it gets."""
+    def paint(self, pixels: Indices, share: FloatArray, light: Float32Array) -> int:
+        """Lay light, (3,) or (m, 3), over pixels; the rank it gets."""
         self._painted += 1
         part = share[:, None].astype(np.float32)
-        self.light[pixels] += part * (np.asarray(colour, dtype=np.float32) - self.light[pixels])
+        self.light[pixels] += part * (light - self.light[pixels])
         self.rank[pixels[share > 0.5]] = self._painted
         return self._painted
 

@@ -10,6 +10,7 @@ from fieldloc.render.shapes import inside_cone
 
 _LEAST = 1e-9
 _CELLS = 3  # per pixel and axis, where an edge is curved
+_OFFSETS = np.arange(_CELLS) - 0.5 * (_CELLS - 1)  # in cells
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,12 +58,15 @@ class Ring:
         return Quad(np.column_stack([corners, np.zeros(4)])).normals(eye)
 
     def coverage(self, eye: FloatArray, rays: FloatArray, steps: FloatArray, blur_px: float) -> FloatArray:
+        out = self._of_cell(eye, rays, steps, blur_px)
+        edge = (out > 0.0) & (out < 1.0)
+        rays, steps = rays[edge], steps[edge] / _CELLS
         total = np.zeros(len(rays))
-        offsets = (np.arange(_CELLS) + 0.5) / _CELLS - 0.5
-        for u in offsets:
-            for v in offsets:
-                total += self._of_cell(eye, rays + u * steps[:, 0] + v * steps[:, 1], steps / _CELLS, _CELLS * blur_px)
-        return total / _CELLS**2
+        for u in _OFFSETS:
+            for v in _OFFSETS:
+                total += self._of_cell(eye, rays + u * steps[:, 0] + v * steps[:, 1], steps, _CELLS * blur_px)
+        out[edge] = total / _CELLS**2
+        return out
 
     def _of_cell(self, eye: FloatArray, rays: FloatArray, steps: FloatArray, blur_px: float) -> FloatArray:
         down = -rays[:, 2]

@@ -112,7 +112,9 @@ class Sensor:
     motion_px: (u, v) by which the picture moved while it was exposed; the truth is that of the middle of the exposure.
     vignetting: darker by that share in the corners. exposure: gain on everything. rolling: how much of it, as a share,
     comes and goes from row to row, over rolling_rows, beginning with rolling_phase_rad. read_noise: standard deviation
-    of the darkest pixels; shot_noise: that of what comes on top at 255. gamma: light ** (1 / gamma); 1: none.
+    of the darkest pixels; shot_noise: that of what comes on top at 255.
+    gamma: numbers go with light ** (1 / gamma); colours look as they are named. Above 1 what is bright looks wider by
+    some tenths of a pixel, as in most cameras' pictures; 1: half way between two colours is where their edge is.
     """
 
     blur_px: float = 0.5

@@ -38,10 +38,10 @@ def paint_standing(canvas: Canvas, scene: Scene, field_map: FieldMap) -> dict[in
         pixels, share = canvas.shares(thing.shape)
         if not len(pixels):
             continue
-        colour = np.broadcast_to(np.array(thing.colour), (len(pixels), 3))
+        light = canvas.light_of(thing.colour)
         if thing.shading > 0.0 and isinstance(thing.shape, Pillar):
-            colour = colour * _roundness(canvas, thing.shape, pixels, thing.shading)[:, None]
-        rank = canvas.paint(pixels, share, colour)
+            light = light * _roundness(canvas, thing.shape, pixels, thing.shading).astype(np.float32)[:, None]
+        rank = canvas.paint(pixels, share, light)
         if thing.part >= 0:
             ranks[thing.part] = rank
     return ranks

@@ -18,11 +18,11 @@ _TILE = 128  # cells of the texture before it repeats
 def paint_ground(canvas: Canvas, scene: Scene, field_map: FieldMap) -> None:
     """Over everything below the horizon; what stands is painted later."""
     turf = scene.turf
-    canvas.light[:] = scene.ceiling
+    canvas.light[:] = canvas.light_of(scene.ceiling)
     below = np.flatnonzero(canvas.eye.rays[:, 2] < 0.0)
-    canvas.light[below] = turf.floor
+    canvas.light[below] = canvas.light_of(turf.floor)
     carpet, share = canvas.shares(Quad(np.column_stack([_corners(field_map, turf.border_m), np.zeros(4)])))
-    colour = _carpet(turf, *_seen_ground(canvas, carpet))
+    colour = canvas.light_of(turf.colour) * _carpet(turf, *_seen_ground(canvas, carpet))
     canvas.light[carpet] += share[:, None].astype(np.float32) * (colour - canvas.light[carpet])
     white = np.zeros(len(canvas.rank), dtype=np.float32)
     for shape in painted_shapes(field_map):
@@ -32,7 +32,7 @@ def paint_ground(canvas: Canvas, scene: Scene, field_map: FieldMap) -> None:
     paint = white[lined]
     if turf.wear > 0.0:
         paint = paint * (1.0 - np.float32(turf.wear) * _worn(turf, *_seen_ground(canvas, lined)))
-    canvas.light[lined] += paint[:, None] * (np.array(turf.lines, dtype=np.float32) - canvas.light[lined])
+    canvas.light[lined] += paint[:, None] * (canvas.light_of(turf.lines) - canvas.light[lined])
     if turf.glares:
         _lighten(canvas, turf, below)
 
@@ -71,14 +71,14 @@ def _corners(field_map: FieldMap, border_m: float) -> FloatArray:
 
 
 def _carpet(turf: Turf, points: Float32Array, footprint: Float32Array) -> Float32Array:
-    """Colours (m, 3)."""
+    """Gains (m, 3) on the carpet's colour."""
     gain = np.ones(len(points), dtype=np.float32)
     if turf.mown > 0.0:
         c, s = np.cos(turf.mown_along_rad), np.sin(turf.mown_along_rad)
         phase = np.float32(np.pi / turf.mown_m) * (points @ np.array([c, s], dtype=np.float32))
         edge = np.clip(turf.mown_m / (6.0 * footprint + 1e-6), 0.5, 8.0)  # as sharp as pixels show it
         gain += np.float32(turf.mown) * np.tanh(edge * np.sin(phase)) * _fade(footprint, 2.0 * turf.mown_m)
-    out = np.array(turf.colour, dtype=np.float32) * gain[:, None]
+    out = np.repeat(gain[:, None], 3, axis=1)
     if turf.roughness > 0.0:
         random = np.random.default_rng(turf.seed)
         rough = sum(
