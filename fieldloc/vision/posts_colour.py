@@ -1,0 +1,66 @@
+"""How much of a post's colour there is in a pixel."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc.colours import Colour
+from fieldloc.pose import FloatArray
+from fieldloc.vision.picture import UInt8Array
+
+_CHROMATIC = 40  # of 255, between the largest and the least part of a colour that has a hue
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A picture as one looks for a post's colour in it."""
+
+    picture: UInt8Array
+    colour: Colour
+
+    def colours_at(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """(..., 3) the nearest pixels, those of the border beside the picture."""
+        height, width = self.picture.shape[:2]
+        row = np.clip(np.rint(v), 0, height - 1).astype(np.intp)
+        column = np.clip(np.rint(u), 0, width - 1).astype(np.intp)
+        return self.picture[row, column].astype(np.float64)
+
+    def likeness_at(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        return self.likeness_of(self.colours_at(u, v))
+
+    def likeness_of(self, colours: FloatArray) -> FloatArray:
+        """As `likeness`, of colours (..., 3)."""
+        direction = _hue_direction(self.colour)
+        if direction is not None:
+            return np.asarray(np.maximum(colours @ direction, 0.0))
+        first, second, third = colours[..., 0], colours[..., 1], colours[..., 2]
+        if max(self.colour) > 127:
+            return np.minimum(np.minimum(first, second), third)
+        return np.asarray(255.0 - np.maximum(np.maximum(first, second), third))
+
+    def contains(self, u: FloatArray, v: FloatArray) -> NDArray[np.bool_]:
+        height, width = self.picture.shape[:2]
+        return np.asarray((u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1))
+
+
+def likeness(picture: UInt8Array, colour: Colour) -> UInt8Array:
+    """(h, w) how much of the colour is in each pixel: for white the least of its parts, for black what the largest
+    lacks, for a hue the part of the pixel's own hue along it."""
+    direction = _hue_direction(colour)
+    if direction is not None:
+        return np.asarray(cv2.transform(picture, direction[None]), dtype=np.uint8)
+    blue, green, red = cv2.split(picture)
+    if max(colour) > 127:
+        return np.asarray(cv2.min(cv2.min(blue, green), red), dtype=np.uint8)
+    return np.asarray(255 - cv2.max(cv2.max(blue, green), red), dtype=np.uint8)
+
+
+def _hue_direction(colour: Colour) -> FloatArray | None:
+    """(3,) of length 1 in BGR, at right angles to grey; None for a colour without a hue."""
+    if max(colour) - min(colour) < _CHROMATIC:
+        return None
+    direction = np.array(colour[::-1], dtype=np.float64)
+    direction -= direction.mean()
+    return np.asarray(direction / np.linalg.norm(direction))
