@@ -118,6 +118,14 @@ class MixtureEstimator(Estimator, Protocol):
 
 
 @runtime_checkable
+class Seeing(Protocol):
+    """An estimator that knows that its eyes are late and turned."""
+
+    def seen_from(self) -> Estimate | None:
+        """The pose that what is seen at present is about; None while nothing is known."""
+
+
+@runtime_checkable
 class Ambiguous(Protocol):
     """An estimator that says how sure it is of what it cannot tell apart."""
 

@@ -6,6 +6,7 @@ from dataclasses import astuple, dataclass, field
 import numpy as np
 
 from fieldloc.detection import Detection
+from fieldloc.mount_correction import MountCorrection
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
 
@@ -16,6 +17,9 @@ class MotionNoise:
 
     Each is the standard deviation after one unit of motion and grows with the square root of it: 0.05 m after 1 m
     forward. A walking or wheeled robot on carpet; a robot whose odometry states its covariance does not need them.
+
+    They are a first guess: the online estimators learn by what factor the variances along the way and of the turns are
+    larger or smaller. log_scale_sigma: standard deviation of its logarithm before a log; 0 takes them as known.
     """
 
     forward_m_per_sqrt_m: float = 0.05
@@ -28,6 +32,7 @@ class MotionNoise:
     """A velocity is believed this long; after it the robot may do anything that the two below allow."""
     silent_m_per_sqrt_s: float = 0.3
     silent_rad_per_sqrt_s: float = 0.5
+    log_scale_sigma: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +97,18 @@ class Mixture:
     whole_covariance: int = 0
 
 
+ENGINES = ("gtsam", "chain")
+"""gtsam solves general graphs and is the reference; chain is estimators.chain_engine, faster and the same."""
+
+
 @dataclass(frozen=True, slots=True)
 class Graph:
     """node_interval_s: a pose at least this often, besides one at each factor. cauchy: scale of the robust kernel, in
-    sigmas of a factor."""
+    sigmas of a factor. engine: what solves for all poses together, one of ENGINES."""
 
     node_interval_s: float = 0.1
     cauchy: float = 2.0
+    engine: str = "gtsam"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +116,9 @@ class Calibration:
     """What odometry gets wrong all the time (estimators.motion.OdometryCalibration): what is known of it before a log,
     and how well, as standard deviations.
 
-    It is estimated along with the poses; where all sigmas are 0 it is taken as known.
+    It is estimated along with the poses; where all sigmas are 0 it is taken as known. odometry_delay_s: how much later
+    than stamped the robot does what its odometry says. That of an odometry that states no covariance is not known: it
+    may be what the robot was told to do.
     """
 
     scale_sigma: float = 0.1
@@ -121,10 +133,12 @@ class Calibration:
     crab_rad: float = 0.0
     drift_mps: float = 0.0
     turn_drift_radps: float = 0.0
+    odometry_delay_sigma_s: float = 0.15
+    odometry_delay_s: float = 0.0
 
     def means(self) -> FloatArray:
         """(6,) in the order of OdometryCalibration."""
-        return np.array(astuple(self)[6:])
+        return np.array(astuple(self)[6:12])
 
     def sigmas(self) -> FloatArray:
         """(6,) in the order of OdometryCalibration."""
@@ -179,6 +193,7 @@ class Config:
     graph: Graph = field(default_factory=Graph)
     calibration: Calibration = field(default_factory=Calibration)
     sensor: Sensor = field(default_factory=Sensor)
+    mount: MountCorrection = field(default_factory=MountCorrection)
     correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     detection: Detection = field(default_factory=Detection)
     compass: Compass = field(default_factory=Compass)

@@ -1,7 +1,8 @@
 """Odometry to motion: a velocity held between stamps, the motion it makes and how uncertain that is."""
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,10 @@ _MAX_PERIOD_S = 1.0
 # how much of a motion is left at Gauss's two points: exact up to cubic, so straight ahead
 _GAUSS = (0.5 + 0.5 / 3**0.5, 0.5 - 0.5 / 3**0.5)
 _SMALL_ANGLE_RAD = 1e-4
+_RECENT_NS = 1_000_000_000  # delays are shorter
+_AS_SAID = np.ones(2)
+_NO_PARTS = np.zeros((2, 3, 3))
+_OF_WHAT = np.array([0, 0, 1])  # part that noise forward, to the left and turning belongs to
 
 
 class OdometryCalibration(NamedTuple):
@@ -33,17 +38,32 @@ class OdometryCalibration(NamedTuple):
     turn_drift_radps: float = 0.0
 
 
+def calibrated_velocity(velocity: FloatArray, calibration: FloatArray) -> FloatArray:
+    """(3,) that a robot really has whose odometry of that calibration (6,) says `velocity` (3,)."""
+    scale, turn_scale, veer, crab, drift, turn_drift = calibration.tolist()
+    forward, left, turn = velocity.tolist()
+    return np.array(
+        [
+            forward * (1.0 + scale) - crab * left + drift,
+            left * (1.0 + scale) + crab * forward,
+            turn * (1.0 + turn_scale) + veer * forward + turn_drift,
+        ]
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
     """Motion over an interval: field_from_after = field_from_before @ before_from_after.
 
     covariance: (3, 3) of its error, a robot-frame tangent at the end.
     by_calibration: (3, 6) the change of that tangent with the odometry's calibration.
+    parts: (2, 3, 3) of the covariance, what comes of noise along the way and of noise of the turns.
     """
 
     before_from_after: FloatArray
     covariance: FloatArray
     by_calibration: FloatArray
+    parts: FloatArray = field(default_factory=_NO_PARTS.copy)
 
     def then(self, other: "Increment") -> "Increment":
         back = _after(other.before_from_after)
@@ -51,12 +71,13 @@ class Increment:
             _composed(self.before_from_after, other.before_from_after),
             back @ self.covariance @ back.T + other.covariance,
             back @ self.by_calibration + other.by_calibration,
+            back @ self.parts @ back.T + other.parts,
         )
 
     def calibrated(self, calibration: FloatArray) -> "Increment":
         """The motion of an odometry with that calibration (6,), of which this is the uncalibrated one."""
         moved = np.array(_arc(*(self.by_calibration @ calibration).tolist()))
-        return Increment(_composed(self.before_from_after, moved), self.covariance, self.by_calibration)
+        return Increment(_composed(self.before_from_after, moved), self.covariance, self.by_calibration, self.parts)
 
     @staticmethod
     def carry(covariance: FloatArray, before_from_after: FloatArray) -> FloatArray:
@@ -71,17 +92,30 @@ STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)), np.zeros((3, 6)))
 class HeldVelocity:
     """Turns odometry messages and the stamps at which the pose is asked for into increments.
 
-    Stamps that run backwards move nothing; an odometry message older than the last one is not used.
+    Stamps that run backwards move nothing; an odometry message older than the last one is not used. scales: (2,) of
+    the variances along the way and of the turns, where the odometry does not state them. delay_s: what a message says
+    happens so much later than its stamp.
     """
 
-    def __init__(self, noise: MotionNoise) -> None:
+    def __init__(self, noise: MotionNoise, delay_s: float = 0.0) -> None:
         self._noise = noise
+        self.delay_s = delay_s
+        self._waiting: deque[Odometry] = deque()
+        self.scales = _AS_SAID
+        self._recent: deque[Odometry] = deque()
         self._odometry: Odometry | None = None
         self._period_s = 0.0
         self.stamp_ns: int | None = None
 
     def hold(self, odometry: Odometry) -> None:
-        """Believe this velocity from now on."""
+        """Believe this velocity from now on, or from when it is due."""
+        if self.delay_s > 0.0:
+            due_ns = odometry.stamp_ns + int(self.delay_s * 1e9)
+            self._waiting.append(replace(odometry, stamp_ns=due_ns))
+        else:
+            self._hold(odometry)
+
+    def _hold(self, odometry: Odometry) -> None:
         if self._odometry is not None:
             elapsed_s = (odometry.stamp_ns - self._odometry.stamp_ns) * 1e-9
             if elapsed_s < 0.0:
@@ -89,9 +123,41 @@ class HeldVelocity:
             if elapsed_s > 0.0:  # a message that comes twice says nothing of the period
                 self._period_s = min(elapsed_s, _MAX_PERIOD_S)
         self._odometry = odometry
+        self._recent.append(odometry)
+        while len(self._recent) > 1 and self._recent[1].stamp_ns < odometry.stamp_ns - 2 * _RECENT_NS:
+            self._recent.popleft()
+
+    @property
+    def is_said(self) -> bool:
+        """Whether there is odometry that does not state its covariance: it may be what the robot was told to do."""
+        return self._odometry is not None and self._odometry.covariance is None
+
+    def recent(self, duration_s: float) -> FloatArray:
+        """(3,) velocity on the average of so long before the last stamp, a second at most; the present one for none."""
+        now_ns, held = self.stamp_ns, self._odometry
+        if now_ns is None or held is None:
+            return np.zeros(3)
+        start_ns = now_ns - min(int(duration_s * 1e9), _RECENT_NS)
+        if start_ns >= held.stamp_ns:
+            return held.velocity
+        way, end_ns = np.zeros(3), now_ns
+        for odometry in reversed(self._recent):
+            since_ns = max(odometry.stamp_ns, start_ns)
+            if since_ns < end_ns:
+                way, end_ns = way + odometry.velocity * (end_ns - since_ns), since_ns
+            if odometry.stamp_ns <= start_ns:
+                break
+        return way / (now_ns - end_ns) if now_ns > end_ns else held.velocity
 
     def advance(self, stamp_ns: int) -> Increment | None:
         """The motion from the last stamp to this one; None if no time passes."""
+        motion = None
+        while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
+            motion = _joined(motion, self._advance(self._waiting[0].stamp_ns))
+            self._hold(self._waiting.popleft())
+        return _joined(motion, self._advance(stamp_ns))
+
+    def _advance(self, stamp_ns: int) -> Increment | None:
         before_ns, self.stamp_ns = self.stamp_ns, stamp_ns if self.stamp_ns is None else max(stamp_ns, self.stamp_ns)
         if before_ns is None or stamp_ns <= before_ns:
             return None
@@ -111,15 +177,18 @@ class HeldVelocity:
         spread = _spread(forward, left, turn)
         if stated is None:
             # white along the way: each part of it is carried to the end
-            density = self._density(velocity)
-            covariance = np.zeros((3, 3))
+            density = self._density(velocity) * self.scales[_OF_WHAT]
+            parts = np.zeros((2, 3, 3))
             for point in _GAUSS:
                 to_end = _after(np.array(_arc(point * forward, point * left, point * turn)))
-                covariance += (to_end * density) @ to_end.T
-            covariance *= 0.5 * duration_s
+                parts[0] += (to_end[:, :2] * density[:2]) @ to_end[:, :2].T
+                parts[1] += density[2] * to_end[:, 2:] * to_end[:, 2]
+            parts *= 0.5 * duration_s
+            covariance = parts[0] + parts[1]
         else:
             # one error for all of a message: over a part of its period it counts in proportion
             covariance = spread @ stated @ spread.T * ((self._period_s or duration_s) * duration_s)
+            parts = _NO_PARTS
         by_calibration = np.array(
             [
                 [forward, 0.0, 0.0, -left, duration_s, 0.0],
@@ -127,7 +196,7 @@ class HeldVelocity:
                 [0.0, turn, forward, 0.0, 0.0, duration_s],
             ]
         )
-        return Increment(np.array(_arc(forward, left, turn)), covariance, spread @ by_calibration)
+        return Increment(np.array(_arc(forward, left, turn)), covariance, spread @ by_calibration, parts)
 
     def _density(self, velocity: FloatArray) -> FloatArray:
         """(3,) variances per second."""
@@ -148,6 +217,12 @@ class HeldVelocity:
     def _silent(self, duration_s: float) -> Increment:
         position, heading = self._noise.silent_m_per_sqrt_s**2, self._noise.silent_rad_per_sqrt_s**2
         return Increment(np.zeros(3), np.diag([position, position, heading]) * duration_s, np.zeros((3, 6)))
+
+
+def _joined(one: Increment | None, other: Increment | None) -> Increment | None:
+    if one is None or other is None:
+        return other if one is None else one
+    return one.then(other)
 
 
 # One motion a hundred times a second: what fieldloc.pose does for stacks, for one without their overhead.

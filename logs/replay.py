@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.base import Ambiguity, Ambiguous, Estimate, Estimator, Event, MixtureEstimator
+from estimators.base import Ambiguity, Ambiguous, Estimate, Estimator, Event, MixtureEstimator, Seeing
 from estimators.config import Config
 from estimators.smoother import Smoother
 from fieldloc.camera import Camera
@@ -16,6 +16,7 @@ from fieldloc.errors import FieldlocError
 from fieldloc.factors import Factor
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Measurement, Odometry
+from fieldloc.mixture import MixtureFactor
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
 from fieldloc.regions import Region, anywhere, region
@@ -148,7 +149,9 @@ class Run:
         self.estimator = estimator
         self._told = start if isinstance(start, np.ndarray) else None
         self._region = _region(start, recording.field)
-        self._builder = MixtureBuilder(recording.field, recording.camera, config.correlation, config.detection)
+        self._builder = MixtureBuilder(
+            recording.field, recording.camera, config.correlation, config.detection, config.mount
+        )
         self._unusable: list[str] = []
 
     def steps(self) -> Iterator[Step]:
@@ -181,7 +184,7 @@ class Run:
             if (mixture := self._builder.build(measurement)) is None:
                 return
             if not isinstance(estimator, MixtureEstimator):
-                factors = sure(mixture, _belief(estimator.estimate()), self._region.log_density)
+                factors = sure(mixture, _belief(self._where(mixture)), self._region.log_density)
         except _FAILURES as error:  # numbers beyond all arithmetic
             kind = type(measurement).__name__
             at = seconds(measurement.stamp_ns)
@@ -191,8 +194,14 @@ class Run:
             estimator.observe(mixture)
         for factor in factors:
             estimator.update(factor)
-        now = estimator.estimate()
+        now = self._where(mixture)
         self._builder.remember(mixture, None if now is None else now.pose)
+
+    def _where(self, mixture: MixtureFactor) -> Estimate | None:
+        """What the estimator thinks of the pose that the mixture is about."""
+        if mixture.by_sight and isinstance(self.estimator, Seeing):
+            return self.estimator.seen_from()
+        return self.estimator.estimate()
 
     def trajectory(self) -> tuple[Estimate, ...] | None:
         """The past in the light of all steps taken, None where the estimator cannot look back."""

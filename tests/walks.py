@@ -27,8 +27,9 @@ FIELD = FieldMap(
     tuple(Landmark(str(i), position, 0.1, np.zeros((2, 2))) for i, position in enumerate(POSITIONS)),
 )
 PERFECT = OdometryCalibration()
-TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-PLAIN = Config(calibration=TAKEN_AT_ITS_WORD, sensor=Sensor(0.0, 0.0))
+TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0)
+KNOWN_NOISE = MotionNoise(log_scale_sigma=0.0)
+PLAIN = Config(motion=KNOWN_NOISE, calibration=TAKEN_AT_ITS_WORD, sensor=Sensor(0.0, 0.0))
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.05, 0.03
 ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0, 0.0)
 _NEARLY_SURE = np.diag([1e-3, 1e-3, 1e-3]) ** 2

@@ -1,7 +1,7 @@
 """The hypotheses of a Gaussian sum as arrays, moved and corrected all at once.
 
-Each is a Gaussian over ten numbers: the robot-frame tangent at its pose, what the odometry gets wrong
-(OdometryCalibration) and the compass' offset. The map may look the same from several poses: then a hypothesis stands
+Each is a Gaussian over thirteen numbers (`estimators.views`): the robot-frame tangent at its pose, what odometry and
+eyes get wrong, the robot's delay and the compass' offset. The map may look the same from several poses: then a hypothesis stands
 for all of these copies, which are equally precise, and has a weight for each. That is the symmetry folded: no copy can
 be lost while nothing tells it from the others.
 """
@@ -10,15 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.motion import Increment, OdometryCalibration
+from estimators.motion import Increment
+from estimators.views import CALIBRATION, EXTRA, OFFSET, SIZE, View
 from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray
 from fieldloc.pose import FloatArray
 
-CALIBRATION = len(OdometryCalibration._fields)
-SIZE = 3 + CALIBRATION + 1
-OFFSET = SIZE - 1  # of the compass, in the covariance
-EXTRA = SIZE - 3
 _IDENTITY = np.eye(SIZE)
 
 
@@ -26,8 +23,8 @@ _IDENTITY = np.eye(SIZE)
 class Bank:
     """h hypotheses, each with a weight for each of c copies.
 
-    poses: (h, 3) of copy 0; copy i is at compose(copies[i], pose). extra: (h, 7) calibration and compass offset.
-    covariances: (h, 10, 10). log_weights: (h, c). parents: (h,) row in the bank before the last observation, -1 for one
+    poses: (h, 3) of copy 0; copy i is at compose(copies[i], pose). extra: (h, 10) calibrations and compass offset.
+    covariances: (h, 13, 13). log_weights: (h, c). parents: (h,) row in the bank before the last observation, -1 for one
     that began with it; choices: (h,) which of that observation's solutions it took, -1 for none. found: (h,) whether
     it began as a robot that was carried and has not been the best since.
     """
@@ -92,36 +89,36 @@ class Bank:
         others = extra[:, :CALIBRATION] - calibration
         if others.any():
             poses = se2.retract(poses, others @ motion.by_calibration.T)
-        extra[:, CALIBRATION] *= offset_left
+        extra[:, -1] *= offset_left
         step = _IDENTITY.copy()
         step[:3, :3] = se2.adjoint(se2.inverse(motion.before_from_after))
-        step[:3, 3:OFFSET] = motion.by_calibration
+        step[:3, 3 : 3 + CALIBRATION] = motion.by_calibration
         step[OFFSET, OFFSET] = offset_left
         covariances = step @ self.covariances @ step.T
         covariances[:, :3, :3] += motion.covariance
         covariances[:, OFFSET, OFFSET] += offset_gain
         return replace(self, poses=poses, extra=extra, covariances=covariances)
 
-    def moved_one(self, row: int, motion: Increment) -> tuple[FloatArray, FloatArray]:
-        """Pose (3,) and covariance (3, 3) of one whose odometry the motion is, after it."""
-        pose, covariance = self.poses[row], self.covariances[row]
-        step = np.zeros((3, OFFSET))
+    def moved_one(self, row: int, motion: Increment, view: View) -> tuple[FloatArray, FloatArray]:
+        """Pose (3,) and covariance (3, 3), as the view has them, of one whose odometry the motion is, after it."""
+        step = view.by_state.copy()
         step[:, :3] = se2.adjoint(se2.inverse(motion.before_from_after))
-        step[:, 3:] = motion.by_calibration
-        moved = step @ covariance[:OFFSET, :OFFSET] @ step.T + motion.covariance
-        return se2.compose(pose, motion.before_from_after), moved
+        step[:, 3 : 3 + CALIBRATION] += motion.by_calibration
+        moved = step @ self.covariances[row] @ step.T + motion.covariance
+        return view.of(se2.compose(self.poses[row], motion.before_from_after), self.extra[row]), moved
 
-    def corrected(self, rows: IntArray, seen: Expansion, log_weights: FloatArray, by_compass: bool) -> "Bank":
-        """Children (c,): of `rows`, each with the quadratic of the expansion taken in.
+    def seen(self, view: View) -> "Bank":
+        """With the poses and their covariances as the view has them."""
+        covariances = self.covariances.copy()
+        covariances[:, :3, :3] = view.covariance(self.covariances)
+        return replace(self, poses=view.of(self.poses, self.extra), covariances=covariances)
 
-        by_compass: the quadratic is about the heading plus the compass' offset.
-        """
+    def corrected(self, rows: IntArray, seen: Expansion, log_weights: FloatArray, view: View) -> "Bank":
+        """Children (c,): of `rows`, each with the quadratic of the expansion taken in, which is about the poses of the
+        view."""
         covariances = self.covariances[rows]
-        by_pose = covariances[:, :, :3]
-        if by_compass:
-            by_pose = by_pose.copy()
-            by_pose[:, :, 2] += covariances[:, :, OFFSET]
-        # what shrinks the covariance of three numbers is taken to all ten (matrix inversion lemma)
+        by_pose = covariances @ view.by_state.T
+        # what shrinks the covariance of three numbers is taken to all thirteen (matrix inversion lemma)
         shrink = seen.shrink
         step = (by_pose @ (shrink.swapaxes(-1, -2) @ seen.gradient[:, :, None]))[:, :, 0]
         covariances = covariances - by_pose @ (seen.information @ shrink) @ by_pose.swapaxes(-1, -2)
@@ -139,11 +136,9 @@ class Bank:
         )
 
 
-def gaussian(pose: FloatArray, covariance: FloatArray, extra: FloatArray, known: FloatArray, copies: int) -> Bank:
-    """One hypothesis (3,), (3, 3) in its robot frame, on copy 0 for sure. known: (7, 7) covariance of `extra` (7,)."""
-    covariances = np.zeros((1, SIZE, SIZE))
-    covariances[0, :3, :3], covariances[0, 3:, 3:] = covariance, known
+def gaussian(pose: FloatArray, covariance: FloatArray, extra: FloatArray, copies: int) -> Bank:
+    """One hypothesis (3,), (13, 13), on copy 0 for sure. extra: (10,)."""
     log_weights = np.full((1, copies), -np.inf)
     log_weights[0, 0] = 0.0
     none = np.array([-1])
-    return Bank(pose[None].copy(), extra[None].copy(), covariances, log_weights, none, none, np.array([0]))
+    return Bank(pose[None].copy(), extra[None].copy(), covariance[None], log_weights, none, none, np.array([0]))

@@ -14,8 +14,9 @@ import numpy as np
 from estimators.base import Ambiguity, Estimate, Event, Innovation
 from estimators.config import Config
 from estimators.divergence import Restart
+from estimators.legs import Legs
 from estimators.mixture import report
-from estimators.mixture.bank import CALIBRATION, EXTRA, OFFSET, SIZE, Bank, gaussian
+from estimators.mixture.bank import Bank, gaussian
 from estimators.mixture.lineage import Lineage
 from estimators.mixture.lost import UNKNOWN, Lost
 from estimators.mixture.merge import merged
@@ -24,8 +25,9 @@ from estimators.mixture.split import Children, met, total
 from estimators.mixture.watch import Watch
 from estimators.modes import ModeSequence
 from estimators.motion import STANDSTILL, HeldVelocity
+from estimators.views import CALIBRATION, LATE, View, Views, of_factor, prior
 from fieldloc import pose as se2
-from fieldloc.factors import Factor, HeadingFactor, PoseFactor
+from fieldloc.factors import Factor, PoseFactor
 from fieldloc.heading_mixture import HeadingMixture
 from fieldloc.measurements import Odometry
 from fieldloc.mixture import MixtureFactor, PoseSolutions
@@ -49,7 +51,9 @@ class MixtureFilter:
 
     def __init__(self, config: Config, symmetries: FloatArray | None = None, remember: bool = False) -> None:
         self._config = config
-        self._motion = HeldVelocity(config.motion)
+        self._motion = HeldVelocity(config.motion, config.calibration.odometry_delay_s)
+        self._views = Views(config, self._motion)
+        self._legs = Legs(config.motion)
         self._restart = Restart(config.robust.restart_after)
         self._watch = Watch()
         self._unheard = False  # whether the compass has not spoken since the robot was found
@@ -57,8 +61,7 @@ class MixtureFilter:
         self._bank = Bank.empty(len(self._sides))
         self._lost = Lost.within(UNKNOWN, 0.0)
         self._lineage = Lineage.none(len(self._sides), remember)
-        self._extra = np.zeros(EXTRA)
-        self._known = np.diag(np.append(config.calibration.sigmas(), config.compass.offset_sigma_rad) ** 2)
+        self._extra, self._known = prior(config)  # of the best
         self._first = (0, 0)  # row and copy of the best
         self._last: FloatArray | None = None  # its pose
         self._pending, self._pending_s = STANDSTILL, 0.0
@@ -67,7 +70,7 @@ class MixtureFilter:
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
-        self._believe(estimate.pose, estimate.robot_covariance)
+        self._believe(estimate.pose, estimate.robot_covariance, self._views.now(self._extra))
         self._watch.begin(self._now_ns, "the start was given")
 
     def start_in(self, region: Region, stamp_ns: int) -> None:
@@ -84,6 +87,10 @@ class MixtureFilter:
     def predict(self, odometry: Odometry) -> None:
         self.advance(odometry.stamp_ns)
         self._motion.hold(odometry)
+        if (gained := self._views.heard()) > 0.0:
+            self._known = self._known.copy()
+            self._known[LATE - 3, LATE - 3] += gained
+            self._bank.covariances[:, LATE, LATE] += gained
 
     def advance(self, stamp_ns: int) -> None:
         before_ns = self._motion.stamp_ns
@@ -102,20 +109,20 @@ class MixtureFilter:
         self.advance(factor.stamp_ns)
         if not len(self._bank):
             if isinstance(factor, PoseFactor):
-                self._believe(factor.pose, factor.covariance)
+                self._believe(factor.pose, factor.covariance, of_factor(self._views, factor, self._extra))
                 self._watch.begin(self._now_ns, "a whole pose")
             return None
         self._settle()
+        view = of_factor(self._views, factor, self._extra)
         children, innovation, log_unknown = met(
-            self._bank, self._sides, factor, self._config.robust.nis_per_dof, self._first
+            self._bank, self._sides, factor, view, self._config.robust.nis_per_dof, self._first
         )
         if (elsewhere := self._restart.consider(factor, disagrees=innovation.weight < 1.0)) is not None:
-            self._believe(elsewhere.pose, elsewhere.covariance)
+            self._believe(elsewhere.pose, elsewhere.covariance, view)
             self._watch.recovered(self._now_ns)
             return innovation
         none = Bank.empty(len(self._sides))
-        by_compass = isinstance(factor, HeadingFactor) and factor.by_compass
-        self._take(children, none, self._lost.log_weights + log_unknown, by_compass, choice=False)
+        self._take(children, none, self._lost.log_weights + log_unknown, view, choice=False)
         return innovation
 
     def observe(self, mixture: MixtureFactor) -> None:
@@ -123,24 +130,28 @@ class MixtureFilter:
         self._settle()
         if self._unheard and isinstance(mixture, HeadingMixture):
             mixture, self._unheard = replace(mixture, wider=1.0), False  # what it said before was not said to these
-        children = Children.of(self._bank, self._sides, mixture)
+        view = self._views.about(mixture.by_sight, mixture.by_compass, self._extra)
+        children = Children.of(self._bank, self._sides, mixture, view)
         children = children.tempered(self._news(mixture))
         solutions = mixture.solutions() if self._asks(children, mixture) else None
         missed = self._lost.missed(mixture, solutions)
-        births = self._born(solutions or PoseSolutions.none(), mixture.symmetric)
-        self._take(children, births, missed, mixture.by_compass, choice=True)
+        births = self._born(solutions or PoseSolutions.none(), mixture.symmetric, view)
+        self._take(children, births, missed, view, choice=True)
 
     def estimate(self) -> Estimate | None:
-        if not len(self._bank):
-            return None
+        return self._seen(self._views.now(self._extra)) if len(self._bank) else None
+
+    def seen_from(self) -> Estimate | None:
+        """Where the eyes were when they saw what they show now."""
+        return self._seen(self._views.sight(self._extra)) if len(self._bank) else None
+
+    def _seen(self, view: View) -> Estimate:
         row, copy = self._first
         if self._config.mixture.whole_covariance:
-            bank = self._moved(self._bank)
+            bank = self._moved(self._bank).seen(view)
             pose = self._sides.of_one(copy, bank.poses[row])
             return Estimate(self._now_ns, pose, report.covariance_about(pose, bank, self._sides))
-        pose, covariance = self._bank.poses[row], self._bank.covariances[row, :3, :3]
-        if self._pending is not STANDSTILL:
-            pose, covariance = self._bank.moved_one(row, self._pending)
+        pose, covariance = self._bank.moved_one(row, self._pending, view)
         pose = self._sides.of_one(copy, pose)
         return Estimate(self._now_ns, pose, se2.rotate_covariance(covariance, pose[2]))
 
@@ -148,9 +159,10 @@ class MixtureFilter:
         if not len(self._bank):
             return None
         lost = float(np.exp(self._fed().total))
-        return report.ambiguity(
-            self._now_ns, self._moved(self._bank), self._sides, self._first, self._lineage.tracks, lost
-        )
+        bank = self._moved(self._bank)
+        if not self._views.same:
+            bank = bank.seen(self._views.now(self._extra))
+        return report.ambiguity(self._now_ns, bank, self._sides, self._first, self._lineage.tracks, lost)
 
     @property
     def events(self) -> Sequence[Event]:
@@ -168,12 +180,14 @@ class MixtureFilter:
         assert self._motion.stamp_ns is not None
         return self._motion.stamp_ns
 
-    def _believe(self, pose: FloatArray, robot_covariance: FloatArray) -> None:
-        """One place, one side. What is known of the odometry and the compass stays known."""
+    def _believe(self, pose: FloatArray, robot_covariance: FloatArray, view: View) -> None:
+        """One place, one side. What is known of the odometry, the eyes and the compass stays known."""
         self._settle()
-        self._bank = gaussian(pose, robot_covariance, self._extra, self._known, len(self._sides))
+        pose, covariance = view.back(pose, self._extra), view.of_state(robot_covariance, self._known)
+        self._bank = gaussian(pose, covariance, self._extra, len(self._sides))
         self._lost = self._lost.after(np.array([-np.inf, -np.inf]))
         self._first, self._last = (0, 0), pose
+        self._begin_leg()
         self._asked_ns = self._now_ns
         self._lineage.begin(self._bank)
         self._restart.forget()
@@ -184,11 +198,16 @@ class MixtureFilter:
         self._bank, self._lost = self._moved(self._bank), self._fed()
         if len(self._bank):
             row, copy = self._first
+            self._legs.move(self._pending, self._extra[:CALIBRATION])
             self._known = self._bank.covariances[row, 3:, 3:]
             self._extra = self._bank.extra[row]
             self._last = self._sides.of_one(copy, self._bank.poses[row])
             self._bank = replace(self._bank, log_weights=self._bank.log_weights + math.log1p(-self._carried))
         self._pending, self._pending_s = STANDSTILL, 0.0
+
+    def _begin_leg(self) -> None:
+        row = self._first[0]
+        self._legs.begin(self._bank.poses[row], self._bank.covariances[row], self._extra[:CALIBRATION])
 
     @property
     def _carried(self) -> float:
@@ -226,20 +245,19 @@ class MixtureFilter:
         self._asked_ns = self._now_ns
         return True
 
-    def _born(self, solutions: PoseSolutions, symmetric: bool) -> Bank:
+    def _born(self, solutions: PoseSolutions, symmetric: bool, view: View) -> Bank:
         count = len(solutions.ids)
         if not count:
             return Bank.empty(len(self._sides))
         log_weights, found = self._lost.found(solutions, self._sides.copies, symmetric)
-        extra, covariances = np.zeros((count, EXTRA)), np.zeros((count, SIZE, SIZE))
-        extra[:, :CALIBRATION] = self._extra[:CALIBRATION]
-        covariances[:, :3, :3] = solutions.covariances
-        covariances[:, 3:OFFSET, 3:OFFSET] = self._known[:CALIBRATION, :CALIBRATION]
-        covariances[:, OFFSET, OFFSET] = self._config.compass.offset_sigma_rad**2
-        none = np.full(count, -1)
-        return Bank(solutions.poses, extra, covariances, log_weights, none, solutions.ids, found.astype(np.intp))
+        extra, known = self._extra.copy(), self._known.copy()
+        extra[-1] = known[-1] = known[:, -1] = 0.0  # which steel it is that the compass feels there, nobody knows
+        known[-1, -1] = self._config.compass.offset_sigma_rad**2
+        covariances = view.of_state(solutions.covariances, known)
+        poses, extras, none = view.back(solutions.poses, extra), np.tile(extra, (count, 1)), np.full(count, -1)
+        return Bank(poses, extras, covariances, log_weights, none, solutions.ids, found.astype(np.intp))
 
-    def _take(self, children: Children, births: Bank, missed: FloatArray, by_compass: bool, choice: bool) -> None:
+    def _take(self, children: Children, births: Bank, missed: FloatArray, view: View, choice: bool) -> None:
         tracked = np.logaddexp(children.total, total(births.log_weights))
         everything = np.logaddexp(tracked, total(missed))
         if not np.isfinite(everything):
@@ -247,7 +265,7 @@ class MixtureFilter:
         started = not len(self._bank)
         settings = self._config.mixture
         least = tracked + np.log(settings.prune_below)
-        bank = children.born(self._bank, least, by_compass) if not started else self._bank
+        bank = children.born(self._bank, least, view) if not started else self._bank
         if len(births):
             bank = bank.joined(births.take(np.flatnonzero(births.totals >= least)))
         self._lost = self._lost.after(missed - everything)
@@ -272,6 +290,11 @@ class MixtureFilter:
         self._first = row, copy = report.best(bank, self._sides, self._last)
         self._last = self._sides.of_one(copy, bank.poses[row])
         self._extra, self._known = bank.extra[row], bank.covariances[row, 3:, 3:]
+        if bank.parents[row] == before:
+            covariance, calibration = bank.covariances[row], self._extra[:CALIBRATION]
+            self._motion.scales = self._legs.look(bank.poses[row], covariance, calibration)
+        else:  # another one's way has led here
+            self._begin_leg()
         self._lineage.follow(bank, before, choice)
         if started:
             self._watch.begin(self._now_ns, f"{len(bank) * len(self._sides)} places are possible")

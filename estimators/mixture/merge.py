@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.mixture.bank import OFFSET, Bank
+from estimators.mixture.bank import Bank
 from estimators.mixture.sides import Sides
+from estimators.views import OFFSET
 from fieldloc import pose as se2
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
@@ -133,7 +134,7 @@ def _together(bank: Bank, heads: IntArray, group: IntArray, copy: IntArray, side
 
 
 def _turned(covariances: FloatArray, by: FloatArray) -> FloatArray:
-    """With the pose's part of covariances (n, 10, 10) in the tangent that `by` (n, 3, 3) leads to."""
+    """With the pose's part of covariances (n, 13, 13) in the tangent that `by` (n, 3, 3) leads to."""
     out = covariances.copy()
     out[:, :3] = by @ out[:, :3]
     out[:, :, :3] = out[:, :, :3] @ by.swapaxes(-1, -2)

@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimators.base import Innovation
-from estimators.mixture.bank import CALIBRATION, OFFSET, Bank
+from estimators.mixture.bank import Bank
 from estimators.mixture.sides import Sides
+from estimators.views import View
 from fieldloc.covariance import squared_mahalanobis
-from fieldloc.factors import Factor, HeadingFactor
+from fieldloc.factors import Factor
 from fieldloc.mixture import Expansion, IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
 
@@ -20,7 +21,8 @@ _NOBODY = np.zeros(0, dtype=np.intp)
 class Sight:
     """What the hypotheses see: each once, or once from each copy that is alive.
 
-    rows, copies: (v,) which; the copy is 0 where all of them see the same. poses: (v, 3), covariances: (v, 3, 3).
+    rows, copies: (v,) which; the copy is 0 where all of them see the same. poses: (v, 3), covariances: (v, 3, 3) of
+    what they see it from.
     log_weights: (v, c) of what sees it.
     """
 
@@ -31,21 +33,16 @@ class Sight:
     log_weights: FloatArray
 
     @staticmethod
-    def of(bank: Bank, sides: Sides, symmetric: bool, by_compass: bool) -> "Sight":
-        covariances = bank.covariances[:, :3, :3]
+    def of(bank: Bank, sides: Sides, symmetric: bool, view: View) -> "Sight":
+        poses, covariances = view.of(bank.poses, bank.extra), view.covariance(bank.covariances)
         if symmetric or len(sides) == 1:
-            rows, poses, log_weights = np.arange(len(bank)), bank.poses, bank.log_weights
+            rows, log_weights = np.arange(len(bank)), bank.log_weights
             copy = np.zeros_like(rows)
         else:
             rows, copy = np.nonzero(bank.log_weights > bank.log_weights.max() - _ALIVE)
-            poses, covariances = sides.of_copy(copy, bank.poses[rows]), covariances[rows]
+            poses, covariances = sides.of_copy(copy, poses[rows]), covariances[rows]
             log_weights = np.full((len(rows), len(sides)), -np.inf)
             log_weights[np.arange(len(rows)), copy] = bank.log_weights[rows, copy]
-        if by_compass:
-            turned = np.eye(3, OFFSET + 1)
-            turned[2, OFFSET] = 1.0
-            poses = poses + np.array([0.0, 0.0, 1.0]) * bank.extra[rows, CALIBRATION, None]
-            covariances = turned @ bank.covariances[rows] @ turned.T
         return Sight(rows, copy, poses, covariances, log_weights)
 
 
@@ -61,11 +58,11 @@ class Children:
     before: FloatArray
 
     @staticmethod
-    def of(bank: Bank, sides: Sides, mixture: MixtureFactor) -> "Children":
+    def of(bank: Bank, sides: Sides, mixture: MixtureFactor, view: View) -> "Children":
         if not len(bank):
             none = np.zeros((0, len(sides)))
             return Children(_nothing(), _NOBODY, none, _NOBODY, none, np.zeros(0))
-        sight = Sight.of(bank, sides, mixture.symmetric, mixture.by_compass)
+        sight = Sight.of(bank, sides, mixture.symmetric, view)
         seen = mixture.expand(sight.poses, sight.covariances)
         log_weights = sight.log_weights[seen.parent] + seen.evidence[:, None]
         blind = sight.log_weights + mixture.log_outlier
@@ -96,10 +93,10 @@ class Children:
         """Log-weight of those that explain nothing."""
         return total(self.blind_weights)
 
-    def born(self, bank: Bank, least: float, by_compass: bool) -> Bank:
+    def born(self, bank: Bank, least: float, view: View) -> Bank:
         """Those whose log-weight is at least that."""
         keep = np.flatnonzero(np.logaddexp.reduce(self.log_weights, axis=1) >= least)
-        out = bank.corrected(self.parents[keep], self.seen.take(keep), self.log_weights[keep], by_compass)
+        out = bank.corrected(self.parents[keep], self.seen.take(keep), self.log_weights[keep], view)
         keep = np.flatnonzero(np.logaddexp.reduce(self.blind_weights, axis=1) >= least)
         if not len(keep):
             return out
@@ -111,15 +108,14 @@ class Children:
 
 
 def met(
-    bank: Bank, sides: Sides, factor: Factor, nis_per_dof: float, first: tuple[int, int]
+    bank: Bank, sides: Sides, factor: Factor, view: View, nis_per_dof: float, first: tuple[int, int]
 ) -> tuple[Children, Innovation, float]:
     """A plain factor: one child each, the factor widened where it disagrees, so that none is ever ignored for good.
 
     Beside the children: how it met the `first` (row, copy), and its log-density for a robot that is at none of the
     hypotheses, which is that of an innovation just not widened.
     """
-    by_compass = isinstance(factor, HeadingFactor) and factor.by_compass
-    sight = Sight.of(bank, sides, symmetric=False, by_compass=by_compass)
+    sight = Sight.of(bank, sides, symmetric=False, view=view)
     residual = factor.error(sight.poses)
     jacobian = np.array([factor.jacobian(pose) for pose in sight.poses])
     back = np.swapaxes(jacobian, -1, -2)

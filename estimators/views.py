@@ -1,0 +1,127 @@
+"""What online filters keep beside the pose, and the poses that what they hear and see is about.
+
+The odometry moves the pose that is kept, at its own stamps. The robot itself may be late: where an odometry does not
+say how sure it is, it may be what the robot was told to do. And what is seen is about the pose where the eyes were,
+which are turned by their bearing offset and are late too (`estimators.sensor`). Only the sum of both delays shows in a
+log; which part of it is the robot's, the prior sigmas say.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimators.config import Config
+from estimators.motion import HeldVelocity, OdometryCalibration, calibrated_velocity
+from estimators.sensor import SENSOR, lever
+from fieldloc import pose as se2
+from fieldloc.covariance import propagate
+from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
+from fieldloc.pose import FloatArray
+
+CALIBRATION = len(OdometryCalibration._fields)
+EXTRA = CALIBRATION + SENSOR + 2
+SIZE = 3 + EXTRA
+EYES = slice(3 + CALIBRATION, 3 + CALIBRATION + SENSOR)
+LATE = EYES.stop  # of the robot
+OFFSET = SIZE - 1  # of the compass
+"""Places in the tangent: that of the pose, the odometry's calibration, the eyes', the robot's delay, the compass'
+offset."""
+_HELD = np.eye(3, SIZE)
+
+
+def prior(config: Config) -> tuple[FloatArray, FloatArray]:
+    """Mean (10,) and covariance (10, 10) of what is kept beside the pose."""
+    mean = np.concatenate([config.calibration.means(), config.sensor.means(), [0.0, 0.0]])
+    eyes, compass = config.sensor.sigmas(), config.compass.offset_sigma_rad
+    return mean, np.diag(np.concatenate([config.calibration.sigmas(), eyes, [0.0, compass]]) ** 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """by_state: (3, 13) the change of the tangent of a pose that something is about, with all that is kept."""
+
+    by_state: FloatArray
+
+    def of(self, poses: FloatArray, extra: FloatArray) -> FloatArray:
+        """(..., 3) of poses (..., 3) that are kept, with (..., 10) beside them."""
+        return se2.retract(poses, self._beside(extra))
+
+    def back(self, poses: FloatArray, extra: FloatArray) -> FloatArray:
+        """The inverse."""
+        return se2.retract(poses, -self._beside(extra))
+
+    def covariance(self, of_state: FloatArray) -> FloatArray:
+        """(..., 3, 3) of covariances (..., 13, 13)."""
+        return propagate(self.by_state, of_state)
+
+    def of_state(self, covariance: FloatArray, known: FloatArray) -> FloatArray:
+        """(..., 13, 13) of covariances (..., 3, 3) of poses that something is about, beside (..., 10, 10) known of the
+        rest: the poses that are kept differ from them by what is not known of the rest."""
+        aside = self.by_state[:, 3:]
+        out = np.zeros((*covariance.shape[:-2], SIZE, SIZE))
+        out[..., :3, 3:] = -aside @ known
+        out[..., 3:, :3] = np.swapaxes(out[..., :3, 3:], -1, -2)
+        out[..., :3, :3] = covariance + propagate(aside, known)
+        out[..., 3:, 3:] = known
+        return out
+
+    def _beside(self, extra: FloatArray) -> FloatArray:
+        return np.asarray(extra @ self.by_state[:, 3:].T)
+
+
+class Views:
+    """What is about which pose, for a filter whose odometry `held` is."""
+
+    def __init__(self, config: Config, held: HeldVelocity) -> None:
+        self._held = held
+        self._unheard_s2 = config.calibration.odometry_delay_sigma_s**2
+        self._late = False
+
+    def heard(self) -> float:
+        """Variance (s^2) that the robot's delay gains by what is known now of the odometry that is held: once, or
+        zero."""
+        if self._late or self._unheard_s2 == 0.0 or not self._held.is_said:
+            return 0.0
+        self._late = True
+        return self._unheard_s2
+
+    @property
+    def same(self) -> bool:
+        """Whether the robot is surely at the pose that is kept."""
+        return not self._late
+
+    def now(self, extra: FloatArray) -> View:
+        """Of the robot itself. extra: (10,) as thought to be, for the velocity."""
+        by_state = _HELD.copy()
+        if self._late:
+            by_state[:, LATE] = -self._velocity(float(extra[LATE - 3]), extra)
+        return View(by_state)
+
+    def sight(self, extra: FloatArray) -> View:
+        """Of what the eyes see."""
+        by_state = _HELD.copy()
+        velocity = self._velocity(float(extra[LATE - 3] + extra[LATE - 4]), extra)
+        by_state[:, EYES] = lever(velocity)
+        by_state[:, LATE] = -velocity
+        return View(by_state)
+
+    def compass(self, extra: FloatArray) -> View:
+        """Of the heading that a compass shows."""
+        view = self.now(extra)
+        view.by_state[2, OFFSET] = 1.0
+        return view
+
+    def about(self, by_sight: bool, by_compass: bool, extra: FloatArray) -> View:
+        if by_sight:
+            return self.sight(extra)
+        return self.compass(extra) if by_compass else self.now(extra)
+
+    def _velocity(self, delay_s: float, extra: FloatArray) -> FloatArray:
+        return calibrated_velocity(self._held.recent(max(delay_s, 0.0)), extra[:CALIBRATION])
+
+
+def of_factor(views: Views, factor: Factor, extra: FloatArray) -> View:
+    """Of a plain factor."""
+    by_sight = isinstance(factor, (PoseFactor, LandmarkFactor, LineFactor)) and factor.by_sight
+    by_compass = isinstance(factor, HeadingFactor) and factor.by_compass
+    return views.about(by_sight, by_compass, extra)
