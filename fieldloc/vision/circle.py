@@ -25,11 +25,13 @@ _NEAR_PX = 1.5  # from the ellipse is on it, beside the next share of the line's
 _NEAR_SHARE = 0.15
 _BINS = 48  # of the ellipse's angle
 _LEAST_SEEN = 0.25  # share of the visible bins that are explained
-_LEAST_BINS = 9
+_LEAST_BINS = 7
+_WINDOW = 8  # points at least of a part of a chain whose bend is compared with the ellipse's
+_BENT = 0.5  # share of the bend that the ellipse tells which is found, and
+_SIGMAS = 3.0  # how many times its noise that is at least
 _THINNEST = 2.0  # the shorter semi-axis to how near is on the ellipse: a thinner one might be a straight line
 _LARGEST_PX = 1e4  # semi-axis
 _BESIDE = 0.1  # share of the ellipse in the picture that may be above the field's border
-_REFINED = 2  # ellipses that are fitted again to all they explain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +50,11 @@ class Ellipse:
     def weights(self, points: FloatArray) -> FloatArray:
         _, gradient = self._value(points)
         return np.asarray(1.0 / np.maximum(np.hypot(gradient[:, 0], gradient[:, 1]), 1e-9))
+
+    def normals(self, points: FloatArray) -> FloatArray:
+        """(n, 2) unit vectors outwards."""
+        _, gradient = self._value(points)
+        return np.asarray(gradient / np.maximum(np.hypot(gradient[:, :1], gradient[:, 1:]), 1e-9))
 
     def axes(self) -> tuple[FloatArray, FloatArray]:
         """Centre (2,) and semi-axes (2, 2), each a row, the longer first."""
@@ -91,37 +98,96 @@ def fit_ellipse(points: FloatArray, weights: FloatArray | None = None) -> Ellips
     return Ellipse(np.concatenate([top, back @ top]), origin, scale)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Windows:
+    """All chains' points (n, 2) in k windows. near_px: (n,) how near is on the ellipse. begins, sizes: (k,) of windows.
+
+    bow: (n,) of unit square in each window, what of its points is parabola: the bend (k, 2) is the points' share in it,
+    and sigma_px (k,) what noise makes of that.
+    """
+
+    points: FloatArray
+    near_px: FloatArray
+    begins: NDArray[np.intp]
+    sizes: NDArray[np.intp]
+    bow: FloatArray
+    bend: FloatArray
+    sigma_px: FloatArray
+
+
 def find_ellipse(chains: list[FloatArray], view: View) -> tuple[Ellipse, list[Mask]] | None:
     """The circle's ellipse and per chain (m, 3) which of its points are on it; None without one."""
     arcs = sorted((chain for chain in chains if _is_bent(chain)), key=len, reverse=True)[:_ARCS]
     if not arcs:
         return None
-    table = np.concatenate(chains)
-    points = table[:, :2]
-    near = _NEAR_PX + _NEAR_SHARE * table[:, 2]
+    windows = _windows(chains)
+    points, near = windows.points, windows.near_px
     tried = []
     for first in range(len(arcs)):
         for second in range(first, len(arcs)):
             chosen = arcs[first] if first == second else np.concatenate([arcs[first], arcs[second]])
-            ellipse = fit_ellipse(chosen[:, :2])
-            if ellipse is not None:
-                tried.append((np.count_nonzero(np.abs(ellipse.distance(points)) < near), ellipse))
-    tried.sort(key=lambda one: one[0], reverse=True)
+            fitted = fit_ellipse(chosen[:, :2])
+            if fitted is not None:
+                tried.append((np.abs(fitted.distance(points)) < near, fitted))
+    tried.sort(key=lambda one: np.count_nonzero(one[0]), reverse=True)
     best, most = None, 0
-    for _, start in tried[:_REFINED]:
-        refined: Ellipse | None = start
+    done = np.zeros(len(points), dtype=np.bool_)  # on what has been refined: nothing new comes from there
+    for on, start in tried:
+        if np.count_nonzero(on & ~done) < 0.5 * np.count_nonzero(on):
+            continue
+        ellipse = start
         for _ in range(4):
+            refined = fit_ellipse(points[on], ellipse.weights(points[on]))
             if refined is None:
                 break
-            on = np.abs(refined.distance(points)) < near
-            count = int(np.count_nonzero(on))
-            if count > most and _is_seen(refined, points[on], near[on], view):
-                best, most = refined, count
-            refined = fit_ellipse(points[on], refined.weights(points[on]))
+            ellipse, on = refined, np.abs(refined.distance(points)) < near
+            count = _explained(ellipse, windows)
+            if count > most and _is_seen(ellipse, points[on], near[on], view):
+                best, most = ellipse, count
+        done |= on
     if best is None:
         return None
     on = np.abs(best.distance(points)) < near
     return best, np.split(on, np.cumsum([len(chain) for chain in chains])[:-1])
+
+
+def _windows(chains: list[FloatArray]) -> _Windows:
+    table = np.concatenate(chains)
+    sizes = []
+    for chain in chains:
+        count = min(max(1, len(chain) // _WINDOW), 3)  # a corner of two lines is in one of three at most
+        sizes += [(len(chain) + part) // count for part in range(count)]
+    size = np.array(sizes)
+    begins = np.cumsum(size) - size
+    x = np.arange(len(table)) - np.repeat(begins + 0.5 * (size - 1), size)
+    bow = x * x - np.repeat((size * size - 1.0) / 12.0, size)  # less its mean
+    bow /= np.sqrt(np.maximum(np.add.reduceat(bow * bow, begins), 1e-9)).repeat(size)
+    points = table[:, :2]
+    bend = np.add.reduceat(bow[:, None] * points, begins)
+    # Noise from the points' second differences, of which those across a window's border do not count.
+    rough = np.zeros_like(points)
+    rough[1:-1] = points[2:] - 2.0 * points[1:-1] + points[:-2]
+    rough[begins] = rough[begins + size - 1] = 0.0
+    sigma = np.sqrt(np.add.reduceat((rough * rough).sum(axis=1), begins) / (6.0 * np.maximum(size - 2, 1)))
+    return _Windows(points, _NEAR_PX + _NEAR_SHARE * table[:, 2], begins, size, bow, bend, sigma)
+
+
+def _explained(ellipse: Ellipse, windows: _Windows) -> int:
+    """How many points are in windows on the ellipse; none where these are bent too little for it, as straight lines are
+    that it runs along.
+    """
+    off = ellipse.distance(windows.points)
+    on = np.add.reduceat((np.abs(off) < windows.near_px).astype(np.float64), windows.begins) > 0.8 * windows.sizes
+    on &= windows.sizes >= _WINDOW
+    middle = windows.begins + windows.sizes // 2
+    bend = (windows.bend * ellipse.normals(windows.points[middle])).sum(axis=1)
+    wanted = bend - np.add.reduceat(windows.bow * off, windows.begins)
+    # No window counts for more than it should be bent: a corner is bent much, and only in one place.
+    found = np.clip(bend * np.sign(wanted), -np.abs(wanted), np.abs(wanted))[on].sum()
+    noise = np.sqrt((windows.sigma_px[on] ** 2).sum())
+    if found < max(_BENT * np.abs(wanted[on]).sum(), _SIGMAS * noise):
+        return 0
+    return int(windows.sizes[on].sum())
 
 
 def _is_bent(chain: FloatArray) -> bool:

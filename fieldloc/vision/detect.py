@@ -7,12 +7,15 @@ from fieldloc.colours import FieldColours
 from fieldloc.pose import FloatArray
 from fieldloc.vision.chains import chains_of, parts
 from fieldloc.vision.circle import find_ellipse
+from fieldloc.vision.corners import find_corners
 from fieldloc.vision.detections import Detections
 from fieldloc.vision.lines import fit_lines
+from fieldloc.vision.marks import find_marks
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.rim import trace
 from fieldloc.vision.segments import merged, straight_pieces
 from fieldloc.vision.settings import VisionSettings
+from fieldloc.vision.sorting import sort_out
 from fieldloc.vision.straight import Plane
 from fieldloc.vision.turf import Mask, Turf, find_turf
 from fieldloc.vision.white import find_runs, grey_of
@@ -34,13 +37,23 @@ def detect(
         return Detections(width, height)
     plane = Plane(camera)
     down, across = find_runs(picture, turf, settings)
-    chains = chains_of(down, True, 4) + chains_of(across, False, 4)
+    patches = chains_of(down, True, 2)
+    chains = [chain for chain in patches if len(chain) >= 4] + chains_of(across, False, 4)
     found = find_ellipse(chains, lambda points: _view(plane.to_picture(points), turf, width, height))
     rest = chains if found is None else parts(chains, found[1], False)
     grey = grey_of(picture, turf)
     circle = found and trace(grey, found[0], np.concatenate(parts(chains, found[1], True)), plane, settings)
     lines = fit_lines(grey, merged(straight_pieces(rest, 0.6 * settings.least_length_px)), plane, settings)
-    return Detections(width, height, lines, circles=(circle,) if circle else (), boundary_px=turf.boundary_px)
+    lines = sort_out(lines, circle, grey, turf)
+    return Detections(
+        width,
+        height,
+        lines=lines,
+        circles=(circle,) if circle else (),
+        corners=find_corners(lines, plane),
+        marks=find_marks(patches, grey, turf),
+        boundary_px=turf.boundary_px,
+    )
 
 
 def _view(pixels: FloatArray, turf: Turf, width: int, height: int) -> tuple[Mask, Mask]:

@@ -1,0 +1,100 @@
+"""What looks like a line and is none: a patch where two lines meet, something upright, a mark.
+
+A field's line ends at another line, at the picture's border or behind something. So what ends on turf at both ends and
+is short is a mark, and what goes on, as wide as it is, to where there is no turf on either side stands upright.
+"""
+
+import numpy as np
+
+from fieldloc.pose import FloatArray
+from fieldloc.vision.detections import SeenCircle, SeenLine
+from fieldloc.vision.picture import UInt8Array
+from fieldloc.vision.profiles import measure
+from fieldloc.vision.turf import Mask, Turf
+
+_COVERED = 0.7  # share of a piece within wider or longer ones
+_MARK_WIDTHS = 30.0  # what is longer than so many widths is no mark
+_TAPER = 0.25  # of the logarithm of a width, beyond perspective and three standard deviations
+_BEYOND = 8  # places looked at beyond a line's end
+_STEEP = 0.6  # of a unit along a line, down the picture: what is flatter is not upright
+_UPRIGHT = 5  # of them with white going on and turf on neither side: upright
+
+
+def sort_out(
+    lines: tuple[SeenLine, ...], circle: SeenCircle | None, grey: UInt8Array, turf: Turf
+) -> tuple[SeenLine, ...]:
+    """The lines that are left."""
+    if not lines:
+        return lines
+    ends = np.stack([line.ends_px for line in lines])
+    width = np.stack([line.width_px for line in lines])
+    upright, free = _beyond(ends, width, grey, turf)
+    sigma = np.stack([line.width_sigma_px for line in lines])
+    good = ~_covered(ends, width) & ~upright & _tapers_as_turf(ends, width, sigma, turf)
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    short = length < _MARK_WIDTHS * width.mean(axis=1)
+    mark = good & short & free.all(axis=1) & ~_near_others(ends, width, good & ~short, circle)
+    return tuple(line for line, keep in zip(lines, good & ~mark, strict=True) if keep)
+
+
+def _covered(ends: FloatArray, width: FloatArray) -> Mask:
+    """(n,) which pieces are mostly within the white of longer ones."""
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    along = along / length[:, None]
+    share = np.linspace(0.05, 0.95, 9)
+    points = ends[:, :1] + share[:, None] * (ends[:, 1:] - ends[:, :1])
+    relative = points[:, :, None] - ends[None, None, :, 0]
+    place = (relative * along).sum(axis=-1)
+    off = np.abs(relative[..., 1] * along[:, 0] - relative[..., 0] * along[:, 1])
+    there = np.clip(place / length, 0.0, 1.0)
+    wide = width[:, 0] + (width[:, 1] - width[:, 0]) * there
+    inside = (off < 0.6 * wide + 0.5) & (place > -wide) & (place < length + wide)
+    inside &= (length[None, :] > length[:, None])[:, None]
+    return np.asarray(inside.any(axis=2).mean(axis=1) >= _COVERED)
+
+
+def _tapers_as_turf(ends: FloatArray, width: FloatArray, sigma: FloatArray, turf: Turf) -> Mask:
+    """(n,) which are not wider at one end than perspective makes a stripe on the ground.
+
+    A stripe's width grows with the depth below the horizon, at most with its square, and the horizon is above the
+    field's border.
+    """
+    depth = np.maximum(turf.below_px(ends), 0.0) + 8.0
+    most = 2.0 * np.abs(np.log(depth[:, 1] / depth[:, 0]))
+    wide = np.maximum(width, 0.3)
+    noise = np.hypot(*(sigma / wide).T)
+    return np.asarray(np.abs(np.log(wide[:, 1] / wide[:, 0])) < most + _TAPER + 3.0 * noise)
+
+
+def _beyond(ends: FloatArray, width: FloatArray, grey: UInt8Array, turf: Turf) -> tuple[Mask, Mask]:
+    """(n,) which go on beyond an end as something upright does; (n, 2) which ends are followed by turf."""
+    along = ends[:, 1] - ends[:, 0]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    outward = np.stack([-along, along], axis=1)
+    away = 2.0 + np.linspace(0.1, 1.0, _BEYOND) * np.maximum(10.0, 1.5 * width)[:, :, None]
+    points = ends[:, :, None] + away[..., None] * outward[:, :, None]
+    normals = np.stack([-outward[..., 1], outward[..., 0]], axis=-1)[:, :, None] + np.zeros_like(points)
+    wide = np.broadcast_to(width[:, :, None], points.shape[:3])
+    profiles = measure(grey, points.reshape(-1, 2), normals.reshape(-1, 2), wide.ravel())
+    on = (profiles.good & (np.abs(profiles.middle_px) < 0.3 * wide.ravel() + 1.0)).reshape(wide.shape)
+    aside = (0.5 * wide + 3.0)[..., None] * normals
+    beside = turf.at(points + aside) | turf.at(points - aside)
+    upright = (np.count_nonzero(on & ~beside, axis=2) >= _UPRIGHT).any(axis=1) & (np.abs(along[:, 1]) > _STEEP)
+    free = np.count_nonzero(turf.at(points) & ~on, axis=2) >= _UPRIGHT
+    return upright, free
+
+
+def _near_others(ends: FloatArray, width: FloatArray, others: Mask, circle: SeenCircle | None) -> Mask:
+    """(n,) which have an end at a line or at the circle."""
+    reach = 1.5 * width.max(axis=1) + 6.0
+    near = np.zeros(len(ends), dtype=np.bool_)
+    for row in np.flatnonzero(others):
+        along = ends[row, 1] - ends[row, 0]
+        share = np.clip((ends - ends[row, 0]) @ along / (along @ along), 0.0, 1.0)
+        distance = np.linalg.norm(ends[row, 0] + share[..., None] * along - ends, axis=-1).min(axis=1)
+        near |= (distance < reach) & (np.arange(len(ends)) != row)
+    if circle is not None:
+        away = np.linalg.norm(ends[:, :, None] - circle.points_px, axis=-1).min(axis=(1, 2))
+        near |= away < reach
+    return near
