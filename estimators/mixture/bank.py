@@ -1,9 +1,9 @@
 """The hypotheses of a Gaussian sum as arrays, moved and corrected all at once.
 
 Each is a Gaussian over thirteen numbers (`estimators.views`): the robot-frame tangent at its pose, what odometry and
-eyes get wrong, the robot's delay and the compass' offset. The map may look the same from several poses: then a hypothesis stands
-for all of these copies, which are equally precise, and has a weight for each. That is the symmetry folded: no copy can
-be lost while nothing tells it from the others.
+eyes get wrong, the robot's delay and the compass' offset. The map may look the same from several poses: then a
+hypothesis stands for all of these copies, which are equally precise, and has a weight for each. That is the symmetry
+folded: no copy can be lost while nothing tells it from the others.
 """
 
 from dataclasses import dataclass, replace
