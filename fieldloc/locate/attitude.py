@@ -20,10 +20,10 @@ from fieldloc.pose import FloatArray
 
 _HEADINGS = np.radians(np.arange(-45.0, 45.0, 10.0))
 _WIDE_PITCHES = np.radians([-15.0, 0.0, 15.0, 30.0, 45.0, 60.0])
-_ANNEALED_PX = (25.0, 12.0, 6.0, 3.0, 1.5, 0.7)  # noise that is allowed for, from iteration to iteration
+_ANNEALED_PX = (25.0, 12.0, 6.0, 3.0, 1.0, 0.3, 0.3)  # noise that is allowed for, from iteration to iteration
 _CIRCLE_RAD = np.radians(2.0)  # how well an ellipse shows how the camera is turned
 _SAME_RAD = np.radians(1.2)
-_GATE = 9.0  # chi2 up to which a line counts for an attitude
+_GATE = 25.0  # chi2 up to which a line counts for an attitude
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +135,7 @@ def _fit(
     def add(planes: _Planes, error: FloatArray, variance: FloatArray, towards: FloatArray, used: FloatArray) -> None:
         nonlocal information, gradient, score
         chi2 = error * error / variance
-        weight = used / (variance * (1.0 + chi2 / 4.0) ** 2)
+        weight = used / (variance * (1.0 + chi2 / 9.0) ** 2)
         turned = planes.normals @ np.swapaxes(rotation, 1, 2)
         jacobian = cross(turned, towards) @ np.swapaxes(axes, 1, 2)
         weighted = jacobian * weight[..., None]

@@ -36,6 +36,16 @@ class Matches:
     circle: IntArray
     circle_gains: FloatArray
 
+    def take(self, rows: IntArray) -> "Matches":
+        return Matches(
+            self.lines[rows],
+            self.line_gains[rows],
+            self.posts[rows],
+            self.post_gains[rows],
+            self.circle[rows],
+            self.circle_gains[rows],
+        )
+
     @property
     def gains(self) -> FloatArray:
         return np.asarray(self.line_gains.sum(axis=1) + self.post_gains.sum(axis=1) + self.circle_gains)
@@ -111,7 +121,8 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     misfit = misfit + np.minimum((over * over).sum(axis=2), 1e6)
     log_density = -0.5 * misfit - 0.5 * np.log(determinant) - _LOG_2PI
     log_density = log_density + _widths_fit(noise, px_per_m)
-    gain = np.where(below.all(axis=2)[..., None], log_density, -np.inf)
+    before = below[:, :, 0] & below[:, :, 1]
+    gain = np.where(before[..., None], log_density, -np.inf)
     best = np.argmax(gain, axis=2)
     log_clutter = -2.0 * np.log(sight.camera.height_px)
     log_odds = np.log((1.0 - settings.false_line) / settings.false_line) - np.log(len(shape.starts))

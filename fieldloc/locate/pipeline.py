@@ -22,8 +22,11 @@ from fieldloc.vision.detections import Detections
 
 _ROUGH_PX = 12.0  # by how much candidates are off
 _ANNEALED_PX = (12.0, 8.0, 4.0, 2.0, 1.0)  # by how much they may be off, step by step
-_LAST_STEPS = 4
-_SCALES = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the model's noise, as variances: what residuals decide
+_SHARPER = 0.1
+_LAST_STEPS = 3
+_SETTLING = 2
+_HOPELESS = 25.0  # so much less evidence than the best has no share worth telling
+_SCALES = (0.003, 0.03, 0.2, 1.0, 5.0)  # of the model's noise, as variances: what residuals decide
 _SAME_M, _SAME_RAD = 0.1, 0.03
 _LEAST_NUMBERS = 4  # of a pose, height and attitude known somewhat
 _UNKNOWN = np.array([1.5, 1.5, 0.5])  # standard deviations of what is no pose any more
@@ -49,15 +52,22 @@ def locate(
         return Located((), 1.0)
     states = _likeliest(states, sight, shape, prior, settings)
     for widen_px in _ANNEALED_PX:
-        states, _, _ = _improved(states, Noise(sight, shape, settings, widen_px, np.ones(len(states))), prior)
+        ones = np.ones(len(states))
+        cameras = Cameras.at(states)
+        matches = match(cameras, Noise(sight, shape, settings, widen_px, ones))
+        # who is who is seen with tolerance, but where that is weighs against the prior as it will in the end
+        sharp = Noise(sight, shape, settings, _SHARPER * widen_px, ones)
+        states = stepped(states, linearise(cameras, sharp, matches, prior, robust=False))
     noise = Noise(sight, shape, settings, 1.0, np.ones(len(states)))
     scores = match(Cameras.at(states), noise).gains - 0.5 * _pull(states, prior)
     states = states[_distinct(states, scores, shape, settings.hypotheses)]
     noise = Noise(sight, shape, settings, 0.0, np.ones(len(states)))
     for _ in range(_LAST_STEPS):
         states, _, _ = _improved(states, noise, prior)
-    states, matches, step, log_evidence = _settled(states, sight, shape, prior, settings)
-    covariances = np.asarray(np.linalg.inv(step.information), dtype=np.float64)
+    noise = Noise(sight, shape, settings, 0.0, np.ones(len(states)))
+    scores = match(Cameras.at(states), noise).gains - 0.5 * _pull(states, prior)
+    states = states[scores > scores.max() - _HOPELESS]
+    states, covariances, matches, step, log_evidence = _settled(states, sight, shape, prior, settings)
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     enough = (step.numbers >= _LEAST_NUMBERS) & (sigmas[:, :3] < _UNKNOWN).all(axis=1)
     states, log_evidence, covariances = states[enough], log_evidence[enough], covariances[enough]
@@ -106,26 +116,34 @@ def _distinct(states: FloatArray, scores: FloatArray, shape: Shape, most: int) -
 
 def _settled(
     states: FloatArray, sight: Sight, shape: Shape, prior: CameraPrior, settings: LocateSettings
-) -> tuple[FloatArray, Matches, Step, FloatArray]:
-    """With the model's noise that each one's residuals speak for; log evidence (k,)."""
-    cameras = Cameras.at(states)
-    gains = np.stack(
-        [match(cameras, Noise(sight, shape, settings, 0.0, np.full(len(states), scale))).gains for scale in _SCALES]
-    )
-    scale = np.array(_SCALES)[np.argmax(gains, axis=0)]
-    noise = Noise(sight, shape, settings, 0.0, scale)
-    for _ in range(2):
-        states, _, _ = _improved(states, noise, prior)
-    cameras = Cameras.at(states)
+) -> tuple[FloatArray, FloatArray, Matches, Step, FloatArray]:
+    """States, covariances (k, 6, 6) and log evidence (k,), over all amounts of the model's noise that the residuals
+    allow: each amount has its own fit and evidence, and what few residuals cannot tell stays open."""
+    count, amounts = len(states), len(_SCALES)
+    noise = Noise(sight, shape, settings, 0.0, np.tile(_SCALES, count))
+    fitted = np.repeat(states, amounts, axis=0)
+    for _ in range(_SETTLING):
+        fitted, _, _ = _improved(fitted, noise, prior)
+    cameras = Cameras.at(fitted)
     matches = match(cameras, noise)
     step = linearise(cameras, noise, matches, prior)
-    log_prior = 0.5 * (np.linalg.slogdet(np.linalg.inv(prior.covariance))[1] - 3.0 * _LOG_2PI) - 0.5 * step.prior
-    log_volume = 3.0 * _LOG_2PI - 0.5 * np.linalg.slogdet(step.information)[1]
-    log_anywhere = -np.log(shape.area_m2 * 2.0 * np.pi)
-    log_missing = log_missed(cameras, sight, shape, matches, settings)
-    inside = (states[:, :2] > shape.box[:2]) & (states[:, :2] < shape.box[2:])
-    log_evidence = matches.gains + log_prior + log_volume + log_anywhere + log_missing
-    return states, matches, step, np.where(inside.all(axis=1), log_evidence, -np.inf)
+    covariances = np.linalg.inv(step.information)
+    log_prior = 0.5 * np.linalg.slogdet(np.linalg.inv(prior.covariance))[1] - 1.5 * _LOG_2PI - 0.5 * step.prior
+    log_volume = 3.0 * _LOG_2PI + 0.5 * np.linalg.slogdet(covariances)[1]
+    inside = ((fitted[:, :2] > shape.box[:2]) & (fitted[:, :2] < shape.box[2:])).all(axis=1)
+    logs = matches.gains + log_prior + log_volume - np.log(shape.area_m2 * 2.0 * np.pi) - np.log(amounts)
+    inside &= step.numbers >= _LEAST_NUMBERS
+    logs = np.where(inside, logs + log_missed(cameras, sight, shape, matches, settings), -np.inf).reshape(
+        count, amounts
+    )
+    best = np.argmax(logs, axis=1)
+    log_evidence = np.logaddexp.reduce(logs, axis=1)
+    shares = np.exp(logs - np.maximum(log_evidence, -1e9)[:, None])
+    rows = np.arange(count) * amounts + best
+    off = fitted.reshape(count, amounts, 6) - fitted[rows][:, None]
+    off[..., [2, 5]] = se2.wrap(off[..., [2, 5]])
+    second = covariances.reshape(count, amounts, 6, 6) + off[..., None] * off[..., None, :]
+    return fitted[rows], np.einsum("ks,ksij->kij", shares, second), matches.take(rows), step.take(rows), log_evidence
 
 
 def _answer(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldloc.locate.errors import Cameras, circle_errors, line_errors, post_errors
+from fieldloc.locate.errors import Cameras, IntArray, circle_errors, line_errors, post_errors
 from fieldloc.locate.matching import Matches, Noise
 from fieldloc.locate.prior import CameraPrior
 from fieldloc.pose import FloatArray, wrap
@@ -27,6 +27,10 @@ class Step:
     prior: FloatArray
     numbers: FloatArray
     log_norm: FloatArray
+
+    def take(self, rows: IntArray) -> "Step":
+        parts = (self.information, self.gradient, self.misfit, self.prior, self.numbers, self.log_norm)
+        return Step(*(part[rows] for part in parts))
 
 
 def linearise(cameras: Cameras, noise: Noise, matches: Matches, prior: CameraPrior, robust: bool = True) -> Step:
