@@ -27,6 +27,8 @@ from estimators.base import Estimate
 from estimators.config import Config, Mixture
 from estimators.ekf import Ekf
 from estimators.mixture import MixtureFilter, merge
+from estimators.mixture.bank import EXTRA, gaussian
+from estimators.mixture.sides import Sides
 from fieldloc import pose as se2
 from fieldloc.detection import Detection
 from fieldloc.factors import HeadingFactor, LandmarkFactor, PoseFactor
@@ -104,6 +106,15 @@ def test_what_can_be_told_apart_is_not_merged() -> None:
     poses = se2.retract(START, np.array([[0.0, 0.0, 0.0], [3.0 * SIGMAS[0], 0.0, 0.0]]))
     estimator.observe(of_poses(0, poses, np.log([0.6, 0.4]), -40.0))
     np.testing.assert_allclose([h.weight for h in now(estimator).hypotheses], [0.6, 0.4], atol=1e-9)
+
+
+def test_the_unlikely_that_is_known_more_precisely_is_not_lost_in_the_likely() -> None:
+    wide = gaussian(START, np.diag([0.1, 0.1, 0.05]) ** 2, np.zeros(EXTRA), np.eye(EXTRA), 1)
+    there = se2.retract(START, np.array([0.2, 0.0, 0.15]))
+    precise = gaussian(there, np.diag([0.02, 0.02, 0.02]) ** 2, np.zeros(EXTRA), np.eye(EXTRA), 1)
+    bank = wide.joined(replace(precise, log_weights=np.log([[0.002]])))
+    kept, _ = merge.merged(bank, Sides.of(np.zeros((0, 3))))
+    assert len(kept) == 2
 
 
 def test_one_hypothesis_is_an_extended_kalman_filter() -> None:

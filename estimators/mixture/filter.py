@@ -17,6 +17,7 @@ from estimators.divergence import Restart
 from estimators.legs import Legs
 from estimators.mixture import report
 from estimators.mixture.bank import Bank, gaussian
+from estimators.mixture.heard import Heard
 from estimators.mixture.lineage import Lineage
 from estimators.mixture.lost import UNKNOWN, Lost
 from estimators.mixture.merge import merged
@@ -56,7 +57,8 @@ class MixtureFilter:
         self._legs = Legs(config.motion)
         self._restart = Restart(config.robust.restart_after)
         self._watch = Watch()
-        self._unheard = False  # whether the compass has not spoken since the robot was found
+        self._heard = Heard()
+        self._unheard = False  # whether the compass has not spoken since the robot was found, nor just before
         self._sides = Sides.of(np.zeros((0, 3)) if symmetries is None else symmetries)
         self._bank = Bank.empty(len(self._sides))
         self._lost = Lost.within(UNKNOWN, 0.0)
@@ -130,6 +132,8 @@ class MixtureFilter:
         self._settle()
         if self._unheard and isinstance(mixture, HeadingMixture):
             mixture, self._unheard = replace(mixture, wider=1.0), False  # what it said before was not said to these
+        if isinstance(mixture, HeadingMixture):
+            self._heard = Heard(mixture)
         view = self._views.about(mixture.by_sight, mixture.by_compass, self._extra)
         children = Children.of(self._bank, self._sides, mixture, view)
         children = children.tempered(self._news(mixture))
@@ -203,6 +207,7 @@ class MixtureFilter:
             self._extra = self._bank.extra[row]
             self._last = self._sides.of_one(copy, self._bank.poses[row])
             self._bank = replace(self._bank, log_weights=self._bank.log_weights + math.log1p(-self._carried))
+        self._heard = self._heard.turned(float(self._pending.before_from_after[2]))
         self._pending, self._pending_s = STANDSTILL, 0.0
 
     def _begin_leg(self) -> None:
@@ -250,6 +255,8 @@ class MixtureFilter:
         if not count:
             return Bank.empty(len(self._sides))
         log_weights, found = self._lost.found(solutions, self._sides.copies, symmetric)
+        headings = self._sides.unfold(solutions.poses)[..., 2]
+        log_weights += self._heard.log_share(headings, self._config.compass, self._now_ns)
         extra, known = self._extra.copy(), self._known.copy()
         extra[-1] = known[-1] = known[:, -1] = 0.0  # which steel it is that the compass feels there, nobody knows
         known[-1, -1] = self._config.compass.offset_sigma_rad**2
@@ -302,7 +309,7 @@ class MixtureFilter:
             self._watch.recovered(self._now_ns)
         if started or bank.found[row]:
             bank.found[:] = 0
-            self._unheard = True
+            self._unheard = not self._heard.lately(self._now_ns)
         weights, lost = np.exp(bank.log_weights), float(np.exp(self._lost.total))
         if len(bank) == 1:  # its copies are places of their own
             other = float(weights.sum() - weights[0, copy]) + lost * (1.0 - 1.0 / len(self._sides))
