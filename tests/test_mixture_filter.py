@@ -109,9 +109,9 @@ def test_what_can_be_told_apart_is_not_merged() -> None:
 
 
 def test_the_unlikely_that_is_known_more_precisely_is_not_lost_in_the_likely() -> None:
-    wide = gaussian(START, np.diag([0.1, 0.1, 0.05]) ** 2, np.zeros(EXTRA), np.eye(EXTRA), 1)
+    wide = gaussian(START, np.diag([0.1, 0.1, 0.05, *np.ones(EXTRA)]) ** 2, np.zeros(EXTRA), 1)
     there = se2.retract(START, np.array([0.2, 0.0, 0.15]))
-    precise = gaussian(there, np.diag([0.02, 0.02, 0.02]) ** 2, np.zeros(EXTRA), np.eye(EXTRA), 1)
+    precise = gaussian(there, np.diag([0.02, 0.02, 0.02, *np.ones(EXTRA)]) ** 2, np.zeros(EXTRA), 1)
     bank = wide.joined(replace(precise, log_weights=np.log([[0.002]])))
     kept, _ = merge.merged(bank, Sides.of(np.zeros((0, 3))))
     assert len(kept) == 2

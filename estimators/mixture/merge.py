@@ -21,6 +21,7 @@ _COMPARED = np.array([0, 1, 2, OFFSET])
 _ALIKE = 0.2  # a loss that nobody sees: equally likely ones are 0.65 sigmas apart
 _SAME = 1e-7  # with different weights for the map's copies only those merge that are one but for rounding
 _SAME_SIDES = 0.01
+_LEAST_SHARE = 0.05  # of the unlikelier of two: it may become likely, and what it knows better is not to be lost
 _APART2 = 16.0  # squared sigmas of the difference: what may soon be told apart is kept, however unlikely
 _NEAR_SIGMAS = 4.0
 
@@ -74,7 +75,7 @@ def _compared(
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """(n,) what is lost by merging, squared sigmas between them, whether their weights agree about the sides."""
     totals = bank.totals
-    share = 1.0 / (1.0 + np.exp(totals[one] - totals[other]))
+    share = np.maximum(1.0 / (1.0 + np.exp(totals[one] - totals[other])), _LEAST_SHARE)
     offset = bank.extra[other, -1] - bank.extra[one, -1]
     tangent = se2.local(sides.of_copy(copy, bank.poses[one]), bank.poses[other])
     step = np.concatenate([tangent, offset[:, None]], axis=1)
