@@ -72,7 +72,9 @@ def test_the_scenarios_have_names(call: Call) -> None:
         ("--duration-s 0", "argument --duration-s: '0' is not a number above 0"),
         ("--set odometry.colour=1", "--set odometry.colour=1: odometry.colour: unknown key"),
         ("--set field='moon'", "moon"),
-        ("--images", "--images: there is no renderer yet"),
+        ("--observations", "--observations: what a detector finds is always there without --images"),
+        ("--images --image-size 320", "'320' is not WIDTHxHEIGHT in pixels"),
+        ("--images --quality 101", "'101' is not a whole number from 1 to 100"),
     ],
 )
 def test_a_game_that_cannot_be_is_one_line(call: Call, here: Path, typed: str, named: str) -> None:

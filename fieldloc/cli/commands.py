@@ -74,6 +74,20 @@ def seed(text: str) -> int:
     raise argparse.ArgumentTypeError(f"'{text}' is not a whole number, 0 or more")
 
 
+def quality(text: str) -> int:
+    if text.isascii() and text.isdigit() and 1 <= int(text) <= 100:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 1 to 100")
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """Width and height of WxH."""
+    width, _, height = text.partition("x")
+    if all(side.isascii() and side.isdigit() and 16 <= int(side) <= 10_000 for side in (width, height)):
+        return int(width), int(height)
+    raise argparse.ArgumentTypeError(f"'{text}' is not WIDTHxHEIGHT in pixels from 16 to 10000, for example 320x240")
+
+
 def seconds_from_start(text: str) -> float:
     with suppress(ValueError):
         if 0.0 <= (value := float(text)) < np.inf:

@@ -5,7 +5,7 @@ import json
 from functools import partial
 from pathlib import Path
 
-from fieldloc.cli.commands import Commands, Parser, positive, seed
+from fieldloc.cli.commands import Commands, Parser, image_size, positive, quality, seed
 from fieldloc.cli.reading import add_meaning_options, open_log
 from fieldloc.cli.terminal import bar, say, warn
 from fieldloc.errors import FieldlocError
@@ -34,7 +34,11 @@ def add_commands(commands: Commands) -> None:
     sub.add_argument(
         "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", help="one setting of the scenario"
     )
-    sub.add_argument("--images", action="store_true", help="pictures too; not in this version")
+    sub.add_argument("--images", action="store_true", help="rendered pictures, in place of what is found in them")
+    sub.add_argument("--observations", action="store_true", help="with --images: what a detector finds too")
+    sub.add_argument("--image-size", type=image_size, metavar="WxH", help="a camera of fewer pixels, such as 320x240")
+    sub.add_argument("--image-hz", type=positive, metavar="HZ", help="in place of the scenario's")
+    sub.add_argument("--quality", type=quality, default=90, metavar="Q", help="of JPEG, 1 to 100; default: %(default)s")
     sub.add_argument("--list", action="store_true", help="the scenarios that come with fieldloc, and no game")
 
     sub = commands.add("info", _info, "What is in a log, and what fieldloc makes of it", "info woods.mcap")
@@ -66,17 +70,20 @@ def _import(options: argparse.Namespace) -> None:
 
 def _simulate(options: argparse.Namespace) -> None:
     from logs.output import output_file
-    from logs.simulate import SCENARIOS, load_scenario, simulate, with_settings
+    from logs.simulate import SCENARIOS, PictureSettings, load_scenario, simulate, with_camera, with_settings
 
     if options.list:
         print("\n".join(f"{name:14}{load_scenario(name).about}" for name in SCENARIOS))
         return
-    if options.images:
-        raise FieldlocError("--images: there is no renderer yet; without it the log holds what a detector would find")
+    if options.observations and not options.images:
+        raise FieldlocError("--observations: what a detector finds is always there without --images")
     scenario = with_settings(load_scenario(options.scenario), options.set)
+    if options.image_size or options.image_hz:
+        scenario = with_camera(scenario, options.image_size, options.image_hz)
+    pictures = PictureSettings(options.quality, options.observations) if options.images else None
     out = output_file(options.output or Path(f"{Path(options.scenario).stem}-{options.seed}.mcap"))
     with bar(options, "simulating") as progress:
-        counts = simulate(out, scenario, options.seed, options.duration_s, progress)
+        counts = simulate(out, scenario, options.seed, options.duration_s, progress, pictures)
     say(options, f"{out}: " + ", ".join(f"{n} {topic}" for topic, n in sorted(counts.items())))
 
 

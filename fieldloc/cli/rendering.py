@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fieldloc.camera import Camera, load_camera
-from fieldloc.cli.commands import Commands, positive, seed
+from fieldloc.cli.commands import Commands, positive, quality, seed
 from fieldloc.cli.terminal import bar, say
 from fieldloc.errors import FieldlocError
 from fieldloc.field import load_field
@@ -44,9 +44,7 @@ def add_commands(commands: Commands) -> None:
     sub.add_argument("--seed", type=seed, default=0, metavar="N", help="the same seed is the same picture")
     sub.add_argument("--clean", action="store_true", help="nothing but the field, and no noise")
     sub.add_argument("--suffix", default=".png", metavar=".png|.jpg", help="of the pictures of --random")
-    sub.add_argument(
-        "--quality", type=_quality, default=95, metavar="Q", help="of JPEG, 1 to 100; default: %(default)s"
-    )
+    sub.add_argument("--quality", type=quality, default=95, metavar="Q", help="of JPEG, 1 to 100; default: %(default)s")
 
 
 def _render(options: argparse.Namespace) -> None:
@@ -161,9 +159,3 @@ def _count(text: str) -> int:
     if text.isascii() and text.isdigit() and 1 <= int(text) <= _MOST_VIEWS:
         return int(text)
     raise argparse.ArgumentTypeError(f"'{text}' is not a number of views from 1 to {_MOST_VIEWS}")
-
-
-def _quality(text: str) -> int:
-    if text.isascii() and text.isdigit() and 1 <= int(text) <= 100:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 1 to 100")

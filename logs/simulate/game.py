@@ -37,6 +37,7 @@ _PARTS = (
     "odometry_latency",
     "compass_latency",
     "vision",
+    "pictures",
 )
 
 

@@ -49,6 +49,10 @@ class SimulatedCamera:
         """When its pictures are taken, and from where: what a renderer needs to make them."""
         return take_shots(course, self._settings, self._mount_error, np.random.default_rng(self._shot_seed))
 
+    def people(self, field: FieldMap) -> FloatArray:
+        """(p, 2) who stands beside the field."""
+        return people_around(field, self._settings.posts.people, np.random.default_rng(self._sight_seed))
+
     def images(self, course: Course, field: FieldMap) -> Iterator[tuple[int, ImageFeatures]]:
         """(log time, features) of each of the shots, in their order."""
         settings, shots = self._settings, self.shots(course)

@@ -2,7 +2,7 @@
 
 import heapq
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,8 @@ from logs.schema import Record, topic_of
 from logs.simulate.course import SAMPLE_NS
 from logs.simulate.game import BEGIN_NS, Game
 from logs.simulate.odometry import stated_covariance
+from logs.simulate.pictures import PictureSettings, take_pictures
+from logs.source import Encoded
 
 SIMULATION = "fieldloc.simulation"
 """Name of the metadata record that says how a game was made and what was drawn for it."""
@@ -24,9 +26,17 @@ class Logged(NamedTuple):
 
 
 def messages(game: Game) -> Iterator[Logged]:
-    """All of the game in the order of log time."""
+    """All of the game in the order of log time, but for pictures."""
     topics = (_head(game), _truths(game), _odometry(game), _compass(game), _images(game))
     return heapq.merge(*topics, key=lambda message: message.log_time_ns)
+
+
+def messages_with_pictures(game: Game, settings: PictureSettings) -> Iterator[Logged | Encoded]:
+    """As `messages`; what a detector finds in the pictures is left out unless the settings keep it."""
+    sensors: list[Iterable[Logged | Encoded]] = [_head(game), _truths(game), _odometry(game), _compass(game)]
+    if settings.observations:
+        sensors.append(_images(game))
+    return heapq.merge(*sensors, _pictures(game, settings), key=lambda message: message.log_time_ns)
 
 
 def _head(game: Game) -> list[Logged]:
@@ -79,6 +89,16 @@ def _images(game: Game) -> Iterator[Logged]:
         log_times = game.delivery.arrivals_ns(np.array([ready_ns]))
         if game.delivery.kept(log_times)[0]:
             yield Logged(int(log_times[0]), topic, features)
+
+
+def _pictures(game: Game, settings: PictureSettings) -> Iterator[Encoded]:
+    from logs.foxglove.pictures import picture_messages
+
+    vision, random = game.scenario.vision, game.random["pictures"]
+    for picture in take_pictures(game.camera, game.course, game.field, vision, settings, random):
+        log_times = game.delivery.arrivals_ns(np.array([picture.ready_ns]))
+        if game.delivery.kept(log_times)[0]:
+            yield from picture_messages(picture.data, "jpeg", picture.mount, picture.stamp_ns, int(log_times[0]))
 
 
 def simulation_metadata(game: Game, seed: int) -> dict[str, str]:
