@@ -81,6 +81,9 @@ class ScanMixture:
             there[:, 1] += s * step[:, 0] + c * step[:, 1]
             there[:, 2] += step[:, 2]
             out.constant[:] += self._log_missed(there, left, matches)
+        if (repeated := 1.0 - self.model.news(matches)) > 0.0:
+            # what it may be was chosen from when it was seen before: that there is much to choose from is no news again
+            out = replace(out, constant=out.constant - repeated * _choice(out, len(poses)))
         return out
 
     @cached_property
@@ -187,6 +190,17 @@ class ScanMixture:
             back = se2.adjoint(self.scan.robot_from_sensor)
             covariances = back @ covariances @ back.T
         return PoseSolutions(poses, covariances, found.log_weights + self.log_right, self._intern(found.matches))
+
+
+def _choice(near: Expansion, poses: int) -> FloatArray:
+    """(c,) entropy of the choice between the solutions near each of so many poses."""
+    best = np.full(poses, -np.inf)
+    np.maximum.at(best, near.parent, near.evidence)
+    above = near.evidence - best[near.parent]
+    share = np.exp(above)
+    total = np.bincount(near.parent, share, poses)
+    mean = np.bincount(near.parent, share * above, poses) / np.maximum(total, 1e-300)
+    return np.asarray((np.log(np.maximum(total, 1e-300)) - mean)[near.parent])
 
 
 def scan_mixture(

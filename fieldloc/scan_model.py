@@ -156,6 +156,15 @@ class ScanModel:
         np.maximum.at(out, row, self.wider[landmark])
         return out
 
+    def news(self, matches: IntArray) -> float:
+        """Share of what was seen, on the average, that was not seen before, if it was one of the matches (c, n)."""
+        if not self._repeats or not len(matches):
+            return 1.0
+        row, seen = np.nonzero(matches >= 0)
+        wider = np.ones(matches.shape[1])
+        np.maximum.at(wider, seen, self.wider[matches[row, seen], 0])
+        return float((1.0 / wider).mean())
+
     def terms(self, poses: FloatArray, matches: IntArray, wider: FloatArray | None) -> Terms:
         """matches: (c, n) landmark of each observation, -1 for none, seen from the poses (c, 3)."""
         matched = matches >= 0

@@ -306,6 +306,21 @@ def test_a_repeated_sight_tells_places_apart_no_more_than_it_is_news() -> None:
     np.testing.assert_allclose(contrast[40.0], contrast[1.0] / 40.0, rtol=0.05, atol=0.01)
 
 
+def test_that_there_are_more_to_choose_from_is_no_news_when_it_is_seen_again() -> None:
+    """Two groups that look alike from two places, of three landmarks and of one: a scan of one of them."""
+    trio = np.array([[2.0, 0.0], [2.02, 0.03], [2.02, -0.03]])
+    field = field_of(np.vstack([trio, [[-2.0, 0.0]]]))
+    poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.pi]])
+    contrast = {}
+    for wider in (1.0, 1000.0):
+        one = mixture(scan_of(poses[0], trio[:1]), field, wider)
+        near = one.expand(poses, np.tile(0.01 * NARROW, (2, 1, 1)))
+        each = [np.logaddexp.reduce(near.evidence[near.parent == h]) for h in (0, 1)]
+        contrast[wider] = each[0] - each[1]
+    assert contrast[1.0] > 0.7
+    assert abs(contrast[1000.0]) < 0.01
+
+
 def test_the_landmarks_seen_are_those_of_the_likeliest_assignment() -> None:
     assert mixture(*CASES["three"]).landmarks_seen(POSE) == (0, 1, 3)
     assert mixture(*CASES["clutter"]).landmarks_seen(POSE) == (0, 1)

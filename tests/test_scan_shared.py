@@ -187,7 +187,9 @@ def test_the_widened_density_has_the_peak_of_the_one_that_is_not() -> None:
     one = mixture(scan, field, wider=wider)
     near = one.expand(POSE[None], 1e-6 * NARROW[None])
     whole = [one.matches(int(i)).tolist() for i in near.ids].index([0, 1, 3, 4])
-    prior = log_joint(scan, field, [0, 1, 3, 4], POSE) - (log_peaks(plain) - 0.5 * error @ np.linalg.solve(plain, error))
+    prior = log_joint(scan, field, [0, 1, 3, 4], POSE) - (
+        log_peaks(plain) - 0.5 * error @ np.linalg.solve(plain, error)
+    )
     np.testing.assert_allclose(near.constant[whole], expected + prior, atol=1e-3)
 
 
@@ -197,10 +199,14 @@ def test_a_fix_is_that_of_least_squares_under_the_dense_covariance() -> None:
     match = np.array([0, 1, 3, 4])
     (fix,) = scan_fixes(one.model, match, MOUNT, None)
     which, precision = field.positions[match], np.linalg.inv(dense(scan.covariance, NOISE))
+
+    def seen_after(step: FloatArray) -> FloatArray:
+        return expected_of(se2.compose(se2.retract(pose, step), MOUNT), which)
+
     pose = POSE
     for _ in range(8):
-        by_pose = central_difference(lambda d: expected_of(se2.compose(se2.retract(pose, d), MOUNT), which), np.zeros(3))
-        error = scan.range_bearing.ravel() - expected_of(se2.compose(pose, MOUNT), which)
+        by_pose = central_difference(seen_after, np.zeros(3))
+        error = scan.range_bearing.ravel() - seen_after(np.zeros(3))
         covariance = np.linalg.inv(by_pose.T @ precision @ by_pose)
         pose = se2.retract(pose, covariance @ by_pose.T @ precision @ error)
     # a tenth of a sigma, and of the variances
