@@ -1,9 +1,11 @@
 """What differs between robots, from one solved log or several of the same robot."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.config import Calibration, Config, Sensor
 from estimators.motion import OdometryCalibration
@@ -11,9 +13,14 @@ from estimators.sensor import SensorCalibration
 from estimators.solution import Solution, global_sigmas
 from fieldloc.pose import FloatArray
 
-_TOLD_NOTHING = 0.9  # of the prior's sigma: more than this is left where a log says nothing of a quantity
+TOLD_NOTHING = 0.9  # of the prior's sigma: more than this is left where a log says nothing of a quantity
 _NEXT_TIME = 0.1  # of the prior's sigma: a robot is not quite the same the next day
-_UNITS = {"_rad": "rad", "_rad_per_m": "rad/m", "_mps": "m/s", "_radps": "rad/s", "_s": "s"}
+_ODOMETRY = len(OdometryCalibration._fields)
+_UNITS = {"_rad": "rad", "_rad_per_m": "rad/m", "_mps": "m/s", "_radps": "rad/s", "_s": "s", "_m": "m"}
+
+_NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields)
+
+Section = TypeVar("Section", Calibration, Sensor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +58,12 @@ class RobotCalibration:
 
     def settings(self, config: Config) -> Config:
         """The settings with what is known now, each quantity a little less surely than it was estimated."""
-        values = {quantity.name: quantity.value for quantity in self.quantities}
+        values = [quantity.value for quantity in self.quantities]
         sigmas = [float(np.hypot(q.sigma, _NEXT_TIME * q.prior_sigma)) for q in self.quantities]
-        odometry = len(OdometryCalibration._fields)
         return replace(
             config,
-            calibration=_known(config.calibration, OdometryCalibration._fields, values, sigmas[:odometry]),
-            sensor=_known(config.sensor, SensorCalibration._fields, values, sigmas[odometry:]),
+            calibration=_known(config.calibration, values[:_ODOMETRY], sigmas[:_ODOMETRY]),
+            sensor=_known(config.sensor, values[_ODOMETRY:], sigmas[_ODOMETRY:]),
         )
 
 
@@ -70,7 +76,7 @@ def calibrated(solutions: Sequence[Solution], config: Config) -> RobotCalibratio
         raise ValueError("no solution to calibrate from")
     # the odometry is taken as it is known to be, so that its calibration in a solution is what is still wrong with it
     known = np.concatenate([config.calibration.means(), np.zeros(len(SensorCalibration._fields))])
-    prior_mean = np.concatenate([np.zeros(len(OdometryCalibration._fields)), config.sensor.means()])
+    prior_mean = np.concatenate([np.zeros(_ODOMETRY), config.sensor.means()])
     prior_sigma = global_sigmas(config)
     free = prior_sigma > 0.0
     said = [_likelihood(solution, prior_mean, prior_sigma, free) for solution in solutions]
@@ -90,21 +96,18 @@ def calibrated(solutions: Sequence[Solution], config: Config) -> RobotCalibratio
     sigmas = np.minimum(np.sqrt(np.diagonal(whole)), prior_sigma)
     quantities = []
     for k, name in enumerate(_NAMES):
-        told = bool(free[k] and sigmas[k] < _TOLD_NOTHING * prior_sigma[k])
+        told = bool(free[k] and sigmas[k] < TOLD_NOTHING * prior_sigma[k])
         gain = 0.0
         if free[k]:
             gain = 0.5 * (values[k] - prior_mean[k]) ** 2 * (1.0 / sigmas[k] ** 2 + 1.0 / prior_sigma[k] ** 2)
         value, sigma = (known[k] + values[k], sigmas[k]) if told else (known[k] + prior_mean[k], prior_sigma[k])
-        section = "calibration" if k < len(OdometryCalibration._fields) else "sensor"
+        section = "calibration" if k < _ODOMETRY else "sensor"
         quantities.append(Quantity(section, name, float(value), float(sigma), float(prior_sigma[k]), float(gain), told))
     return RobotCalibration(tuple(quantities), whole, disagreement)
 
 
-_NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields)
-
-
 def _likelihood(
-    solution: Solution, prior_mean: FloatArray, prior_sigma: FloatArray, free: FloatArray
+    solution: Solution, prior_mean: FloatArray, prior_sigma: FloatArray, free: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
     """Information matrix and vector of what is free, without the prior's."""
     mean = np.array([*solution.calibration, *solution.sensor])[free]
@@ -115,11 +118,9 @@ def _likelihood(
     return information, posterior @ mean - prior @ prior_mean[free]
 
 
-def _known(
-    section: Calibration | Sensor, names: Sequence[str], values: dict[str, float], sigmas: Sequence[float]
-) -> Calibration | Sensor:
-    of_sigmas = [item.name for item in fields(section) if "sigma" in item.name]
-    return replace(section, **{name: values[name] for name in names}, **dict(zip(of_sigmas, sigmas, strict=True)))
+def _known(section: Section, values: Sequence[float], sigmas: Sequence[float]) -> Section:
+    """The sigmas come first in a section, then the values."""
+    return type(section)(*sigmas, *values)
 
 
 def _longest(item: tuple[str, str]) -> int:

@@ -5,11 +5,24 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TypeVar
 
-from estimators.config import Calibration, Compass, Config, Graph, Mixture, MotionNoise, Particles, Robust, Sensor
+from estimators.config import (
+    ENGINES,
+    Calibration,
+    Compass,
+    Config,
+    Graph,
+    Mixture,
+    MotionNoise,
+    Particles,
+    Robust,
+    Sensor,
+)
 from estimators.motion import OdometryCalibration
 from estimators.sensor import SensorCalibration
 from fieldloc.detection import Detection
 from fieldloc.errors import FieldlocError
+from fieldloc.mount_correction import MountCorrection
+from fieldloc.mount_fit import PARTS
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.toml_table import TomlTable
 
@@ -25,11 +38,24 @@ _ABOVE_ZERO = (
     "max_hypotheses",
     "offset_s",
 )
-_SIGNED = tuple(OdometryCalibration._fields + SensorCalibration._fields)
+_QUOTES = "'\""
+_WORDS = {"engine": ENGINES}
+_SIGNED = (*OdometryCalibration._fields, *SensorCalibration._fields, *PARTS)
 _BELOW_ONE = ("outlier_share", "prune_below", "negligible", "post", "clutter", "nothing_right")
 
 Section = TypeVar(
-    "Section", MotionNoise, Robust, Mixture, Particles, Graph, Calibration, Sensor, ErrorCorrelation, Detection, Compass
+    "Section",
+    MotionNoise,
+    Robust,
+    Mixture,
+    Particles,
+    Graph,
+    Calibration,
+    Sensor,
+    MountCorrection,
+    ErrorCorrelation,
+    Detection,
+    Compass,
 )
 
 
@@ -49,6 +75,8 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
         section, _, key = name.partition(".")
         if not (section and key and value):
             raise FieldlocError(f"--set {setting}: needs SECTION.NAME=NUMBER, for example particles.count=2000")
+        if key in _WORDS:
+            value = f'"{value.strip(_QUOTES)}"'
         config = _with_table(config, TomlTable.parse(f"[{section}]\n{key} = {value}", f"--set {setting}"))
     return config
 
@@ -64,9 +92,12 @@ def _section(section: Section, whole: TomlTable, name: str) -> Section:
     if not whole.has(name):
         return section
     table = whole.table(name)
-    values: dict[str, float] = {}
+    values: dict[str, float | str] = {}
     for item in fields(section):
         default = getattr(section, item.name)
+        if item.name in _WORDS:
+            values[item.name] = _word(table, item.name, default)
+            continue
         if item.name in _SIGNED:
             value = table.signed(item.name, float(default))
         else:
@@ -80,3 +111,12 @@ def _section(section: Section, whole: TomlTable, name: str) -> Section:
         values[item.name] = value
     table.finish()
     return type(section)(**values)  # type: ignore[arg-type]  # whole numbers went through the check above
+
+
+def _word(table: TomlTable, key: str, default: str) -> str:
+    if not table.has(key):
+        return default
+    word = table.string(key)
+    if word not in _WORDS[key]:
+        table.fail(key, f"needs one of {', '.join(_WORDS[key])}, got '{word}'")
+    return word

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from fieldloc.image_mixture import image_mixture
 from fieldloc.magnitudes import check_magnitudes
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan
 from fieldloc.mixture import MixtureFactor
+from fieldloc.mount_correction import MountCorrection
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.repeated_mixture import RepeatedMixture
@@ -25,6 +27,7 @@ from fieldloc.told_mixture import told_mixture
 
 _DEFAULT_CORRELATION = ErrorCorrelation()
 _DEFAULT_DETECTION = Detection()
+_AS_LOGGED = MountCorrection()
 _MOUNTS = 16
 _NO_NEWS = 0.01  # share of it
 _ANY_IMAGE, _COMPASS = -1, -2  # beside the map's indices
@@ -39,11 +42,13 @@ class MixtureBuilder:
         camera: Camera | None = None,
         correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
         detection: Detection = _DEFAULT_DETECTION,
+        mount: MountCorrection = _AS_LOGGED,
     ) -> None:
         self._field = field
         self._camera = camera
         self._correlation = correlation
         self._detection = detection
+        self._mount = mount
         self._area_m2 = float(np.exp(anywhere(field).log_volume)) / (2 * np.pi)
         self._repetition = Repetition()
         self._sightings: dict[bytes, Sightings] = {}  # by where the sensor is mounted
@@ -123,6 +128,7 @@ class MixtureBuilder:
 
     def _image(self, features: ImageFeatures, camera: Camera) -> MixtureFactor | None:
         wider = self._wider(_ANY_IMAGE, features.stamp_ns, self._correlation.image_s)
+        features = replace(features, mount=self._mount.applied(features.mount))
         once = image_mixture(features, camera, self._field, self._detection)
         if once is None or wider == 1.0:
             return once

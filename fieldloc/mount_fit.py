@@ -37,11 +37,14 @@ _PRIOR_IMAGES = 4.0  # how many images the prior of the wobble is worth
 @dataclass(frozen=True, slots=True, eq=False)
 class MountFit:
     """In the order of PARTS: error (3,), what is to be added to what the log says; covariance (3, 3) of that; wobble
-    (3,) standard deviations image by image. images: how many had something to say."""
+    (3,) standard deviations image by image. sigmas: (3,) of the error beforehand. images: how many had something
+    to say.
+    """
 
     error: FloatArray
     covariance: FloatArray
     wobble: FloatArray
+    sigmas: FloatArray
     images: int
 
 
@@ -84,7 +87,7 @@ def fit_mount(
         error, covariance, wobble = _estimated(told, error, sigmas, wobble)
         if (np.abs(error - before) < _SETTLED * np.sqrt(np.diagonal(covariance))).all():
             break
-    return MountFit(error, covariance, wobble, used)
+    return MountFit(error, covariance, wobble, sigmas, used)
 
 
 def corrected(mount: CameraMount, error: FloatArray) -> CameraMount:
@@ -102,7 +105,8 @@ def _news(images: Sequence[ImageFeatures], correlation_s: float) -> FloatArray:
     """(n,) share of each image that the one before has not said."""
     stamps_s = np.array([image.stamp_ns for image in images]) * 1e-9
     gaps = np.diff(stamps_s, prepend=-np.inf)
-    return np.asarray(1.0 / inflation(np.maximum(gaps, 0.0), correlation_s))
+    gaps[gaps < 0.0] = np.inf  # another log begins
+    return np.asarray(1.0 / inflation(gaps, correlation_s))
 
 
 def _estimated(

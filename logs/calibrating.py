@@ -1,14 +1,23 @@
 """What the logs of one robot say of the robot: solved one by one, put together, written as settings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
-from estimators.calibrated import Quantity, RobotCalibration, calibrated
+import numpy as np
+
+from estimators.calibrated import TOLD_NOTHING, Quantity, RobotCalibration, calibrated
 from estimators.config import Config
+from estimators.sensor import seen_from
 from estimators.smoother import Smoother
+from estimators.solution import Solution
+from fieldloc import pose as se2
+from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
+from fieldloc.measurements import ImageFeatures
+from fieldloc.mount_correction import MountCorrection
+from fieldloc.mount_fit import PARTS, MountFit, fit_mount
 from fieldloc.pose import FloatArray
 from logs.atomic import atomic_text
 from logs.progress import Progress, unwatched
@@ -17,14 +26,40 @@ from logs.replay import load_recording, replay
 from logs.table import NOTHING, Cell, Table
 from logs.table_text import format_columns
 
+_MOST_IMAGES = 1000  # of all logs, evenly; neighbours say much the same
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedRobot:
-    """logs: names of those that it is from. warnings: what is wrong with them."""
+    """logs: names of those that it is from. mount: of the camera, where there are images. warnings: what is wrong with
+    the logs."""
 
     logs: tuple[str, ...]
     robot: RobotCalibration
+    mount: tuple[Quantity, ...]
+    wobble: tuple[float, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        return self.robot.quantities + self.mount
+
+    def settings(self, config: Config) -> Config:
+        """The settings with what is known now."""
+        known = self.robot.settings(config)
+        if not self.mount:
+            return known
+        left = [float(np.hypot(one.sigma, wobble)) for one, wobble in zip(self.mount, self.wobble, strict=True)]
+        return replace(known, mount=MountCorrection(*(one.value for one in self.mount), *left))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Views:
+    """Images with the poses (n, 3) that they were taken from and covariances (n, 3, 3), robot frame."""
+
+    images: tuple[ImageFeatures, ...]
+    poses: FloatArray
+    covariances: FloatArray
 
 
 def calibrate(
@@ -37,7 +72,8 @@ def calibrate(
     """FieldlocError where a log cannot be localized in."""
     if not logs:
         raise ValueError("no logs to calibrate from")
-    solutions, names, warnings = [], [], []
+    solutions, names, warnings, views = [], [], [], []
+    camera, on_map = None, field
     for log in logs:
         recording = load_recording(log, field, progress)
         smoother = Smoother(config)
@@ -47,25 +83,79 @@ def calibrate(
         solutions.append(smoother.solution)
         names.append(recording.name)
         warnings += [*recording.warnings, *done.warnings]
-    return CalibratedRobot(tuple(names), calibrated(solutions, config), tuple(warnings))
+        camera, on_map = recording.camera or camera, recording.field
+        views.append(_views(recording.measurements, [one.stamp_ns for one in done.estimates], smoother.solution))
+    robot = calibrated(solutions, config)
+    fit = None
+    if camera is not None and on_map is not None:
+        progress(0, 0, "the camera's mount")
+        fit = _fitted(views, camera, on_map, config)
+    mount = () if fit is None else _quantities(fit, config)
+    wobble = () if fit is None else tuple(fit.wobble.tolist())
+    return CalibratedRobot(tuple(names), robot, mount, wobble, tuple(warnings))
 
 
-def calibration_table(robot: RobotCalibration) -> str:
+def _views(measurements: Sequence[object], stamps_ns: Sequence[int], solution: Solution) -> _Views:
+    node = {stamp_ns: row for row, stamp_ns in enumerate(stamps_ns)}
+    images = [one for one in measurements if isinstance(one, ImageFeatures) and (one.lines or one.posts)]
+    images = [one for one in images if node.get(one.stamp_ns, 0) > 0]
+    rows = np.array([node[one.stamp_ns] for one in images], dtype=np.intp)
+    poses = solution.poses[rows].reshape(-1, 3)
+    before = solution.poses[rows - 1].reshape(-1, 3)
+    elapsed_s = (np.array(stamps_ns)[rows] - np.array(stamps_ns)[rows - 1]).reshape(-1, 1) * 1e-9
+    velocities = se2.log(se2.between(before, poses)) / elapsed_s
+    seen = [
+        seen_from(pose, np.array(solution.sensor), velocity) for pose, velocity in zip(poses, velocities, strict=True)
+    ]
+    return _Views(tuple(images), np.array(seen).reshape(-1, 3), solution.covariances[rows].reshape(-1, 3, 3))
+
+
+def _fitted(views: Sequence[_Views], camera: Camera, field: FieldMap, config: Config) -> MountFit | None:
+    """The fit is to the mount as it was taken to be. None without images."""
+    images = [replace(one, mount=config.mount.applied(one.mount)) for view in views for one in view.images]
+    if not images:
+        return None
+    poses = np.concatenate([view.poses for view in views])
+    covariances = np.concatenate([view.covariances for view in views])
+    kept = np.unique(np.linspace(0, len(images) - 1, min(len(images), _MOST_IMAGES)).astype(np.intp))
+    claimed = np.sqrt(np.diagonal(images[0].mount.covariance))[[0, 2, 3]]
+    return fit_mount(
+        [images[k] for k in kept], poses[kept], covariances[kept], camera, field, claimed, config.correlation.image_s
+    )
+
+
+def _quantities(fit: MountFit, config: Config) -> tuple[Quantity, ...]:
+    out = []
+    before = (config.mount.height_m, config.mount.tilt_rad, config.mount.roll_rad)
+    for k, name in enumerate(PARTS):
+        sigma, error, prior = float(fit.covariance[k, k] ** 0.5), float(fit.error[k]), float(fit.sigmas[k])
+        told = sigma < TOLD_NOTHING * prior
+        gain = 0.5 * error**2 * (1.0 / sigma**2 + 1.0 / prior**2)
+        out.append(Quantity("mount", name, before[k] + error * told, sigma if told else prior, prior, gain, told))
+    return tuple(out)
+
+
+def calibration_table(done: CalibratedRobot) -> str:
     """For the terminal; no newline at the end."""
     titles = ("quantity", "value", "sigma", "sigma before", "unit", "log-likelihood")
-    rows = tuple(tuple(map(Cell, _row(quantity))) for quantity in robot.quantities)
+    rows = tuple(tuple(map(Cell, _row(quantity))) for quantity in done.quantities)
     return format_columns(Table(tuple(("", title) for title in titles), rows)).lstrip("\n")
 
 
 def write_settings(path: Path, done: CalibratedRobot, config: Config) -> None:
     """A TOML file that --config takes, with what was estimated beside its settings. It appears whole or not at all."""
-    known = done.robot.settings(config)
+    known = done.settings(config)
     with atomic_text(path) as file:
-        file.write(f"# What {', '.join(done.logs)} says of the robot; sigmas are a little wider than estimated, as a\n")
-        file.write("# robot is not quite the same the next day.\n")
-        for section, values in (("calibration", known.calibration), ("sensor", known.sensor)):
+        file.write(
+            f"# What {', '.join(done.logs)} says of the robot. A robot is not quite the same the next day: sigmas\n"
+        )
+        file.write("# here are a little wider than estimated.\n")
+        for section, values in (("calibration", known.calibration), ("sensor", known.sensor), ("mount", known.mount)):
+            quantities = [one for one in done.quantities if one.section == section]
+            if not quantities:
+                continue
             file.write(f"\n[{section}]\n")
-            for quantity in (one for one in done.robot.quantities if one.section == section):
+            for quantity in quantities:
                 said = f"+- {quantity.sigma:.2g}" if quantity.told else "these logs say nothing of it"
                 file.write(f"{quantity.name} = {getattr(values, quantity.name)!r}  # {quantity.unit}, {said}\n")
             for name in (item.name for item in fields(values) if "sigma" in item.name):
@@ -74,9 +164,10 @@ def write_settings(path: Path, done: CalibratedRobot, config: Config) -> None:
 
 def _row(quantity: Quantity) -> tuple[str, ...]:
     name = quantity.name
-    for unit in ("_rad_per_m", "_radps", "_mps", "_rad", "_s"):
+    for unit in ("_rad_per_m", "_radps", "_mps", "_rad", "_s", "_m"):
         name = name.removesuffix(unit)
-    name, value, before = name.replace("_", " "), f"{quantity.value:+.4f}", f"{quantity.prior_sigma:.4f}"
+    name = f"camera {name}" if quantity.section == "mount" else name.replace("_", " ")
+    value, before = f"{quantity.value:+.4f}", f"{quantity.prior_sigma:.4f}"
     if not quantity.told:
         return name, value, "not told", before, quantity.unit, NOTHING
     return name, value, f"{quantity.sigma:.4f}", before, quantity.unit, f"{quantity.log_gain:+.1f}"

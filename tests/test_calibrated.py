@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimators.calibrated import RobotCalibration, calibrated
+from estimators.calibrated import Quantity, RobotCalibration, calibrated
 from estimators.config import Calibration, Config, Sensor
 from estimators.config_file import load_config
 from estimators.motion import OdometryCalibration
@@ -17,6 +17,10 @@ from logs.calibrating import CalibratedRobot, calibration_table, write_settings
 
 CONFIG = Config()
 SIZE = len(global_sigmas(CONFIG))
+MOUNT = tuple(
+    Quantity("mount", name, value, 0.002, 0.02, 3.0, True)
+    for name, value in (("height_m", -0.01), ("tilt_rad", 0.02), ("roll_rad", 0.01))
+)
 
 
 def solution(values: FloatArray, covariance: FloatArray) -> Solution:
@@ -107,10 +111,10 @@ def test_nothing_says_nothing() -> None:
 def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     true = rng.normal(size=SIZE) * global_sigmas(CONFIG)
-    done = CalibratedRobot(("a", "b"), calibrated([posterior(true, rng, 50)], CONFIG), ())
+    done = CalibratedRobot(("a", "b"), calibrated([posterior(true, rng, 50)], CONFIG), MOUNT, (0.004, 0.01, 0.01), ())
     path = tmp_path / "robot.toml"
     write_settings(path, done, CONFIG)
-    assert load_config(path) == done.robot.settings(CONFIG)
-    table = calibration_table(done.robot).splitlines()
-    assert len(table) == 1 + SIZE
+    assert load_config(path) == done.settings(CONFIG)
+    table = calibration_table(done).splitlines()
+    assert len(table) == 1 + SIZE + len(MOUNT)
     assert table[0].split() == ["quantity", "value", "sigma", "sigma", "before", "unit", "log-likelihood"]

@@ -32,7 +32,7 @@ def _calibrate(options: argparse.Namespace) -> None:
     with warning_of(*logs), bar(options, "calibrate") as progress:
         done = calibrate(logs, config, field, options.start, progress)
     warn(done.warnings)
-    print(calibration_table(done.robot))
+    print(calibration_table(done))
     if out is not None:
         write_settings(out, done, config)
         say(options, f"{out}: for --config of run, smooth and compare")

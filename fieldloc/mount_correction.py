@@ -1,0 +1,44 @@
+"""Where a camera really is, for a robot of which that is known better than its log says (fieldloc.mount_fit)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fieldloc.measurements import CameraMount
+
+_ROWS = {"height_sigma_m": 0, "tilt_sigma_rad": 2, "roll_sigma_rad": 3}  # in CameraMount.covariance
+
+
+@dataclass(frozen=True, slots=True)
+class MountCorrection:
+    """height_m, tilt_rad, roll_rad: what is to be added to what the log says. The sigmas: of what is left then, image
+    by image; 0 leaves it to the log how far it can be trusted.
+    """
+
+    height_m: float = 0.0
+    tilt_rad: float = 0.0
+    roll_rad: float = 0.0
+    height_sigma_m: float = 0.0
+    tilt_sigma_rad: float = 0.0
+    roll_sigma_rad: float = 0.0
+
+    def applied(self, mount: CameraMount) -> CameraMount:
+        """The mount as it is known to be; the same where nothing is known."""
+        if self == _NOTHING:
+            return mount
+        covariance = np.array(mount.covariance, dtype=np.float64)
+        for name, row in _ROWS.items():
+            sigma = getattr(self, name)
+            if sigma > 0.0:
+                covariance[row], covariance[:, row] = 0.0, 0.0
+                covariance[row, row] = sigma**2
+        return replace(
+            mount,
+            height_m=mount.height_m + self.height_m,
+            tilt_rad=mount.tilt_rad + self.tilt_rad,
+            roll_rad=mount.roll_rad + self.roll_rad,
+            covariance=covariance,
+        )
+
+
+_NOTHING = MountCorrection()
