@@ -1,5 +1,6 @@
 """From one picture to everything that is seen in it."""
 
+import cv2
 import numpy as np
 
 from fieldloc.camera import Camera
@@ -18,7 +19,7 @@ from fieldloc.vision.settings import VisionSettings
 from fieldloc.vision.sorting import sort_out
 from fieldloc.vision.straight import Plane
 from fieldloc.vision.turf import Mask, Turf, find_turf
-from fieldloc.vision.white import find_runs, grey_of
+from fieldloc.vision.white import find_runs
 
 _COLOURS = FieldColours()
 _DEFAULTS = VisionSettings()
@@ -38,12 +39,13 @@ def detect(
     plane = Plane(camera)
     down, across = find_runs(picture, turf, settings)
     patches = chains_of(down, True, 2)
-    chains = [chain for chain in patches if len(chain) >= 4] + chains_of(across, False, 4)
+    chains = plane.chains([chain for chain in patches if len(chain) >= 4] + chains_of(across, False, 4))
     found = find_ellipse(chains, lambda points: _view(plane.to_picture(points), turf, width, height))
     rest = chains if found is None else parts(chains, found[1], False)
-    grey = grey_of(picture, turf)
+    # Brightness, as cameras and JPEG keep colours at half the resolution.
+    grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     circle = found and trace(grey, found[0], np.concatenate(parts(chains, found[1], True)), plane, settings)
-    lines = fit_lines(grey, merged(straight_pieces(rest, 0.6 * settings.least_length_px)), plane, settings)
+    lines = fit_lines(grey, merged(straight_pieces(rest, 0.6 * settings.least_length_px)), plane, turf, settings)
     lines = sort_out(lines, circle, grey, turf)
     return Detections(
         width,

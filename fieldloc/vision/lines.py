@@ -11,13 +11,14 @@ from fieldloc.vision.profiles import measure
 from fieldloc.vision.segments import Segments
 from fieldloc.vision.settings import VisionSettings
 from fieldloc.vision.straight import Plane
-from fieldloc.vision.turf import Mask
+from fieldloc.vision.turf import Mask, Turf
 
 _COARSE_PX, _SPACING_PX = 4.0, 1.5  # of profiles along a line, to come onto it and to measure it
 _FEWEST, _MOST = 12, 120  # profiles of a line
 _EXTRA_PX = 6.0  # beyond the ends that the runs tell
 _LEAST_USED = 8  # profiles with both edges on the line
-_LEAST_SHARE = 0.35  # of the profiles between a line's ends
+_LEAST_SHARE = 0.55  # of the profiles between a line's ends that are not on something else than turf
+_LEAST_SEEN = 0.25  # of all between
 _OUTLIER = 3.5  # robust standard deviations from the line
 _FLOOR_PX = 0.02  # of a middle: interpolation between pixels errs by about this much, however long the line
 _ROUGHEST_PX = 1.0  # standard deviation of the middles about the line, or a share of the width
@@ -29,13 +30,14 @@ _LAGS = 8  # profiles along the line over which residuals are correlated
 @dataclass(frozen=True, slots=True, eq=False)
 class Middles:
     """Of n lines up to m middles each, in pixels of the plane: place along a line from its first end, off across it,
-    width; (n, m) each. used: (n, m) whether it is one.
+    width; (n, m) each. used: (n, m) whether it is one. bare: (n, m) where there is turf instead.
     """
 
     place: FloatArray
     off: FloatArray
     width: FloatArray
     used: Mask
+    bare: Mask
 
     def line(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The straight lines through (n, m) values over places: middle of the places, value there, slope; (n,) each."""
@@ -57,21 +59,29 @@ class Middles:
         return np.where(self.used, values - self.on_line(values, self.place), 0.0)
 
 
-def fit_lines(grey: UInt8Array, segments: Segments, plane: Plane, settings: VisionSettings) -> tuple[SeenLine, ...]:
+def fit_lines(
+    grey: UInt8Array, segments: Segments, plane: Plane, turf: Turf, settings: VisionSettings
+) -> tuple[SeenLine, ...]:
     """Those of the segments (in the plane) that are lines in the picture `grey`, in its pixels."""
     if len(segments.ends) == 0:
         return ()
-    segments = _moved(segments, _middles(grey, segments, plane, _COARSE_PX, 0.0, settings))
-    found = _middles(grey, segments, plane, _SPACING_PX, _EXTRA_PX, settings)
+    segments = _moved(segments, _middles(grey, segments, plane, turf, _COARSE_PX, 0.0, settings))
+    found = _middles(grey, segments, plane, turf, _SPACING_PX, _EXTRA_PX, settings)
     height, width = grey.shape[:2]
     scale = max(1.0, min(width / 640.0, height / 480.0))
     kept = _are_lines(found, settings.least_length_px * scale)
-    found = Middles(found.place[kept], found.off[kept], found.width[kept], found.used[kept])
+    found = Middles(found.place[kept], found.off[kept], found.width[kept], found.used[kept], found.bare[kept])
     return _seen(segments.ends[kept], found, plane) if kept.any() else ()
 
 
 def _middles(
-    grey: UInt8Array, segments: Segments, plane: Plane, spacing_px: float, extra_px: float, settings: VisionSettings
+    grey: UInt8Array,
+    segments: Segments,
+    plane: Plane,
+    turf: Turf,
+    spacing_px: float,
+    extra_px: float,
+    settings: VisionSettings,
 ) -> Middles:
     lengths = segments.lengths + 2.0 * extra_px
     counts = np.clip((lengths / spacing_px).astype(np.intp), _FEWEST, _MOST)
@@ -86,10 +96,11 @@ def _middles(
     pixels, normals, zoom = plane.normals_in_picture(centres, across)
     profiles = measure(grey, pixels, normals, width * zoom)
     off, wide = np.zeros(real.shape), np.zeros(real.shape)
-    used = np.zeros(real.shape, dtype=np.bool_)
+    used, bare = np.zeros(real.shape, dtype=np.bool_), np.zeros(real.shape, dtype=np.bool_)
     off[real], wide[real] = profiles.middle_px / zoom, profiles.width_px / zoom
     used[real] = profiles.good & (profiles.step > 0.6 * settings.least_contrast)
-    return _without_outliers(Middles(place, np.nan_to_num(off), np.nan_to_num(wide), used))
+    bare[real] = turf.at(pixels)
+    return _without_outliers(Middles(place, np.nan_to_num(off), np.nan_to_num(wide), used, bare))
 
 
 def _without_outliers(found: Middles) -> Middles:
@@ -106,7 +117,7 @@ def _without_outliers(found: Middles) -> Middles:
         now[count < _LEAST_USED] = False
         if (now == found.used).all():
             break
-        found = Middles(found.place, found.off, found.width, now)
+        found = Middles(found.place, found.off, found.width, now, found.bare)
     return found
 
 
@@ -136,7 +147,8 @@ def _are_lines(found: Middles, least_length_px: float) -> Mask:
     some = count >= _LEAST_USED
     ends = np.where(some[:, None], _ends_of(found), 0.0)
     length = ends[:, 1] - ends[:, 0]
-    between = ((found.place >= ends[:, :1]) & (found.place <= ends[:, 1:])).sum(axis=1)
+    between = (found.place >= ends[:, :1]) & (found.place <= ends[:, 1:])
+    bare = (between & found.bare & ~found.used).sum(axis=1)
     rest = found.rest(found.off)
     count = np.maximum(count, 1)
     width = np.where(found.used, found.width, 0.0).sum(axis=1) / count
@@ -150,7 +162,8 @@ def _are_lines(found: Middles, least_length_px: float) -> Mask:
     straight = (sagitta <= _BENT * length) | (sagitta <= 5.0 * noise)
     smooth = rough <= np.maximum(_ROUGHEST_PX, _ROUGHEST_SHARE * width)
     long = length >= np.maximum(least_length_px, 1.5 * width)
-    return np.asarray(some & long & smooth & straight & (count >= _LEAST_SHARE * between))
+    whole = (count >= _LEAST_SHARE * (count + bare)) & (count >= _LEAST_SEEN * between.sum(axis=1))
+    return np.asarray(some & long & smooth & straight & whole)
 
 
 def _correlation(rest: FloatArray, used: Mask) -> float:

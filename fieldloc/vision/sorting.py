@@ -14,6 +14,8 @@ from fieldloc.vision.turf import Mask, Turf
 
 _COVERED = 0.7  # share of a piece within wider or longer ones
 _MARK_WIDTHS = 30.0  # what is longer than so many widths is no mark
+_LIMB_WIDTHS = 8.0  # what is shorter and ends at something that is no turf is a part of that
+_LOWEST_PX, _HIGHEST = 8.0, 0.35  # of the horizon above the field's border, in pixels and of the picture's height
 _TAPER = 0.25  # of the logarithm of a width, beyond perspective and three standard deviations
 _BEYOND = 8  # places looked at beyond a line's end
 _STEEP = 0.6  # of a unit along a line, down the picture: what is flatter is not upright
@@ -28,13 +30,15 @@ def sort_out(
         return lines
     ends = np.stack([line.ends_px for line in lines])
     width = np.stack([line.width_px for line in lines])
-    upright, free = _beyond(ends, width, grey, turf)
+    upright, free, blocked = _beyond(ends, width, grey, turf)
     sigma = np.stack([line.width_sigma_px for line in lines])
-    good = ~_covered(ends, width) & ~upright & _tapers_as_turf(ends, width, sigma, turf)
+    good = ~_covered(ends, width) & ~upright & _tapers_as_turf(ends, width, sigma, turf, grey.shape[0])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     short = length < _MARK_WIDTHS * width.mean(axis=1)
-    mark = good & short & free.all(axis=1) & ~_near_others(ends, width, good & ~short, circle)
-    return tuple(line for line, keep in zip(lines, good & ~mark, strict=True) if keep)
+    lonely = ~_near_others(ends, width, good & ~short, circle)
+    mark = short & free.all(axis=1) & lonely
+    limb = (length < _LIMB_WIDTHS * width.mean(axis=1)) & blocked.any(axis=1)
+    return tuple(line for line, keep in zip(lines, good & ~mark & ~limb, strict=True) if keep)
 
 
 def _covered(ends: FloatArray, width: FloatArray) -> Mask:
@@ -54,21 +58,29 @@ def _covered(ends: FloatArray, width: FloatArray) -> Mask:
     return np.asarray(inside.any(axis=2).mean(axis=1) >= _COVERED)
 
 
-def _tapers_as_turf(ends: FloatArray, width: FloatArray, sigma: FloatArray, turf: Turf) -> Mask:
-    """(n,) which are not wider at one end than perspective makes a stripe on the ground.
+def _tapers_as_turf(ends: FloatArray, width: FloatArray, sigma: FloatArray, turf: Turf, height: int) -> Mask:
+    """(n,) whose widths at either end are as perspective makes those of a stripe on the ground.
 
-    A stripe's width grows with the depth below the horizon, at most with its square, and the horizon is above the
-    field's border.
+    Along a row, a stripe's width grows as the depth below the horizon; across the stripe, at most as its square. The
+    horizon is somewhere above the field's border. What stands upright is as wide above as below.
     """
-    depth = np.maximum(turf.below_px(ends), 0.0) + 8.0
-    most = 2.0 * np.abs(np.log(depth[:, 1] / depth[:, 0]))
+    below = np.maximum(turf.below_px(ends), 0.0)
     wide = np.maximum(width, 0.3)
+    grows = np.log(wide[:, 1] / wide[:, 0])
     noise = np.hypot(*(sigma / wide).T)
-    return np.asarray(np.abs(np.log(wide[:, 1] / wide[:, 0])) < most + _TAPER + 3.0 * noise)
+    most = 2.0 * np.abs(np.log((below[:, 1] + _LOWEST_PX) / (below[:, 0] + _LOWEST_PX)))
+    deep = below + _HIGHEST * height
+    least = np.log(deep[:, 1] / deep[:, 0])
+    along = np.abs(ends[:, 1] - ends[:, 0])
+    steep = along[:, 1] > _STEEP * np.hypot(along[:, 0], along[:, 1])
+    upright = steep & (grows * np.sign(least) < 0.5 * np.abs(least) - 3.0 * noise)
+    return np.asarray((np.abs(grows) < most + _TAPER + 3.0 * noise) & ~upright)
 
 
-def _beyond(ends: FloatArray, width: FloatArray, grey: UInt8Array, turf: Turf) -> tuple[Mask, Mask]:
-    """(n,) which go on beyond an end as something upright does; (n, 2) which ends are followed by turf."""
+def _beyond(ends: FloatArray, width: FloatArray, grey: UInt8Array, turf: Turf) -> tuple[Mask, Mask, Mask]:
+    """(n,) which go on beyond an end as something upright does; (n, 2) which ends are followed by turf, and which by
+    something else that is in the picture.
+    """
     along = ends[:, 1] - ends[:, 0]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     outward = np.stack([-along, along], axis=1)
@@ -81,8 +93,11 @@ def _beyond(ends: FloatArray, width: FloatArray, grey: UInt8Array, turf: Turf) -
     aside = (0.5 * wide + 3.0)[..., None] * normals
     beside = turf.at(points + aside) | turf.at(points - aside)
     upright = (np.count_nonzero(on & ~beside, axis=2) >= _UPRIGHT).any(axis=1) & (np.abs(along[:, 1]) > _STEEP)
-    free = np.count_nonzero(turf.at(points) & ~on, axis=2) >= _UPRIGHT
-    return upright, free
+    there = ((points >= 0.0) & (points < (grey.shape[1], grey.shape[0]))).all(axis=-1)
+    is_turf = turf.at(points)
+    free = np.count_nonzero(is_turf & ~on, axis=2) >= _UPRIGHT
+    blocked = np.count_nonzero(there & ~is_turf & ~on, axis=2) >= _UPRIGHT
+    return upright, free, blocked
 
 
 def _near_others(ends: FloatArray, width: FloatArray, others: Mask, circle: SeenCircle | None) -> Mask:

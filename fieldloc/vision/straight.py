@@ -37,6 +37,19 @@ class Plane:
         pixels, _ = self.camera.project(np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1))
         return pixels
 
+    def chains(self, chains: list[FloatArray]) -> list[FloatArray]:
+        """Chains (m, 3) of the picture's points and widths as they are in the plane; without points that are not."""
+        if self.is_picture or not chains:
+            return chains
+        table = np.concatenate(chains)
+        points = self.from_picture(table[:, :2])
+        zoom = np.linalg.norm(self.from_picture(table[:, :2] + np.sqrt(0.5)) - points, axis=1)
+        table = np.column_stack([points, table[:, 2] * zoom])
+        found = np.isfinite(table).all(axis=1)
+        borders = np.cumsum([len(chain) for chain in chains])[:-1]
+        parts = zip(np.split(table, borders), np.split(found, borders), strict=True)
+        return [part for part, there in parts if there.all()]
+
     def normals_in_picture(self, points: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Of points (..., 2) and unit vectors there, both in the plane: the pixels (..., 2), the unit vectors in the
         picture, and how many of the picture's pixels one of the plane's is along them (...,).
