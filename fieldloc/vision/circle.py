@@ -151,6 +151,11 @@ def find_ellipse(chains: list[FloatArray], view: View) -> tuple[Ellipse, list[Ma
     return best, np.split(on, np.cumsum([len(chain) for chain in chains])[:-1])
 
 
+def is_round(ellipse: Ellipse, chains: list[FloatArray]) -> bool:
+    """Whether chains (m, 3) that were measured on the ellipse's line are bent as it is."""
+    return bool(chains) and _explained(ellipse, _windows(chains)) > 0
+
+
 def _windows(chains: list[FloatArray]) -> _Windows:
     table = np.concatenate(chains)
     sizes = []

@@ -41,10 +41,10 @@ def detect(
     patches = chains_of(down, True, 2)
     chains = plane.chains([chain for chain in patches if len(chain) >= 4] + chains_of(across, False, 4))
     found = find_ellipse(chains, lambda points: _view(plane.to_picture(points), turf, width, height))
-    rest = chains if found is None else parts(chains, found[1], False)
     # Brightness, as cameras and JPEG keep colours at half the resolution.
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     circle = found and trace(grey, found[0], np.concatenate(parts(chains, found[1], True)), plane, settings)
+    rest = parts(chains, found[1], False) if found and circle else chains
     lines = fit_lines(grey, merged(straight_pieces(rest, 0.6 * settings.least_length_px)), plane, turf, settings)
     lines = sort_out(lines, circle, grey, turf)
     return Detections(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fieldloc.pose import FloatArray
-from fieldloc.vision.circle import Ellipse, bins_of, fit_ellipse, on_rim
+from fieldloc.vision.circle import Ellipse, bins_of, fit_ellipse, is_round, on_rim
 from fieldloc.vision.detections import SeenCircle
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.profiles import measure
@@ -49,6 +49,11 @@ def trace(
             good &= np.abs(off) < _OUTLIER * max(spread, 0.05)
         if np.count_nonzero(good) < _FEWEST // 2:
             return None
+    # Measured to a fraction of a pixel, two straight lines that run along an ellipse are straight.
+    table = np.column_stack([middles, np.zeros(len(middles))])[good]
+    gaps = np.flatnonzero(np.diff(np.flatnonzero(good)) > 2) + 1
+    if not is_round(ellipse, [part for part in np.split(table, gaps) if len(part) > 2]):
+        return None
     sigma = np.sqrt(_local(off[good] ** 2) + _FLOOR_PX**2) * zoom[good]
     centre, axes = ellipse.axes()
     lengths = np.hypot(axes[:, 0], axes[:, 1])
