@@ -251,3 +251,23 @@ def test_a_camera_under_the_ground_is_refused() -> None:
     mount = CameraMount(0.0, 0.0, 0.0, 0.0, np.zeros((4, 4)))
     with pytest.raises(ValueError, match="height_m"):
         render(Scene(), CAMERAS["pinhole"], EMPTY, mount, POSE, np.random.default_rng(0))
+
+
+def test_a_net_covers_what_its_threads_cover_and_hides_nothing() -> None:
+    field, camera = load_field("spl"), CAMERAS["pinhole"]
+    mount = CameraMount(0.4, 0.0, 0.0, 0.0, np.zeros((4, 4)))
+    pose = np.array([2.0, 0.0, 0.0])
+    pictures, truths = [], []
+    for goals in (Goals(), Goals(net=True)):
+        scene = Scene(goals=goals, ceiling=(0.0, 0.0, 0.0), turf=Turf(floor=(0.0, 0.0, 0.0)))
+        picture, truth = render_with_truth(scene, camera, field, mount, pose, np.random.default_rng(0))
+        pictures.append(picture.astype(np.float64))
+        truths.append(truth)
+    # the back of the net, before a black wall: threads of 4 mm, 8 cm apart, along both sides
+    back = pictures[1][90:112, 110:210, 0]
+    assert pictures[0][90:112, 110:210].max() == 0.0
+    assert back.mean() / 235.0 == pytest.approx(1.0 - 0.95**2, rel=0.1)
+    assert len(truths[0].lines) == len(truths[1].lines)
+    for one, other in zip(truths[0].lines, truths[1].lines, strict=True):
+        np.testing.assert_array_equal(one.ends_px, other.ends_px)
+    assert np.array_equal(truths[0].hidden, truths[1].hidden)

@@ -69,6 +69,7 @@ def random_scene(field: FieldMap, random: np.random.Generator, keep_clear: Float
     return Scene(
         turf=_turf(random, low, high, border_m),
         goals=Goals(
+            net=bool(random.random() < 0.5),
             shading=random.uniform(0.0, 0.4),
             shadow_m=(float(random.normal(0.0, 0.7)), float(random.normal(0.0, 0.7))),
             shadow_dark=random.uniform(0.0, 0.4),

@@ -11,7 +11,8 @@ from fieldloc.render.canvas import Canvas
 from fieldloc.render.flat import Quad, Ring, strip
 from fieldloc.render.goals import crossbars, diameter_m, post_colour, post_of
 from fieldloc.render.grid import Indices
-from fieldloc.render.scene import Ball, Colour, Panel, Person, Robot, Scene
+from fieldloc.render.net import net_of
+from fieldloc.render.scene import WHITE, Ball, Colour, Panel, Person, Robot, Scene
 from fieldloc.render.shapes import Shape
 from fieldloc.render.solid import Pillar, Sphere
 
@@ -54,6 +55,8 @@ def _things(scene: Scene, field_map: FieldMap, eye: FloatArray) -> Iterator[Pain
     for row, bar in enumerate(crossbars(field_map, goals), len(posts)):
         # behind the farther of its posts: both are painted over its ends
         yield Painted(max(_distance(end[:2], eye) for end in (bar.start, bar.end)) + 0.01, bar, colour, row)
+        for mesh in net_of(bar, bar.start[2]) if goals.net else ():
+            yield Painted(_distance(mesh.frame.corners.mean(axis=0)[:2], eye), mesh, WHITE)
     for index, post in enumerate(posts):
         yield Painted(_distance(post.centre, eye), post, colour, index, goals.shading)
     for ball in scene.balls:
