@@ -20,7 +20,10 @@ from fieldloc.pose import FloatArray
 
 _HEADINGS = np.radians(np.arange(-45.0, 45.0, 10.0))
 _WIDE_PITCHES = np.radians([-15.0, 0.0, 15.0, 30.0, 45.0, 60.0])
-_ANNEALED_PX = (25.0, 12.0, 6.0, 3.0, 1.0, 0.3, 0.3)  # noise that is allowed for, from iteration to iteration
+_ANNEALED_PX = (25.0, 12.0, 6.0)  # noise that is allowed for, from iteration to iteration, of all starts
+_FINE_PX = (3.0, 1.0, 0.3, 0.3)  # and then of the best of them
+_MOST = 12
+_MARGIN = 12.0  # so much worse than the best is none: about one line that has to be left out
 _CIRCLE_RAD = np.radians(2.0)  # how well an ellipse shows how the camera is turned
 _SAME_RAD = np.radians(1.2)
 _GATE = 25.0  # chi2 up to which a line counts for an attitude
@@ -66,7 +69,7 @@ class _Planes:
         return np.asarray(per_px2 * (self.noise_px2 + widen_px**2) + 1e-12)
 
 
-def attitudes(sight: Sight, prior: CameraPrior, most: int = 4) -> Attitudes:
+def attitudes(sight: Sight, prior: CameraPrior, most: int = 3) -> Attitudes:
     means, sigmas = _starts(sight, prior)
     angles = np.zeros((len(_HEADINGS) * len(means), 3))
     angles[:, 0] = np.tile(_HEADINGS, len(means))
@@ -78,12 +81,16 @@ def attitudes(sight: Sight, prior: CameraPrior, most: int = 4) -> Attitudes:
     posts = _Planes.of(edges, noise, sight.focal_px)
     target = angles[:, 1:].copy()
     for widen_px in _ANNEALED_PX:
+        angles, scores = _fit(angles, target, pull, sight, lines, posts, widen_px)
+    best = np.argsort(-scores, kind="stable")[:_MOST]
+    angles, target, pull = angles[best], target[best], pull[best]
+    for widen_px in _FINE_PX:
         angles, _ = _fit(angles, target, pull, sight, lines, posts, widen_px)
     _, scores = _fit(angles, target, pull, sight, lines, posts, 1.0)
     angles[:, 0] = (angles[:, 0] + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
     order = np.argsort(-scores, kind="stable")
     kept: list[int] = []
-    for row in order:
+    for row in order[scores[order] > scores[order[0]] - _MARGIN]:
         off = np.abs(angles[row] - angles[kept])
         off[:, 0] = np.minimum(off[:, 0], 0.5 * np.pi - off[:, 0])
         if not (off < _SAME_RAD).all(axis=1).any():

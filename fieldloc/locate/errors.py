@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.locate.shape import Shape
-from fieldloc.locate.sight import Sight
+from fieldloc.locate.sight import Points, Sight
 from fieldloc.locate.states import centres, cross, rotations, turn_axes
 from fieldloc.pose import FloatArray
 
 IntArray = NDArray[np.intp]
 _TINY = 1e-9
+_SIDES = np.array([1.0, 1.0, -1.0, -1.0])  # of a post's four ends: left is counter-clockwise
 _FAR_PX = 1e4  # what is off by more has no meaning as a number of pixels
 
 
@@ -94,65 +95,103 @@ def line_errors(
     return np.clip(error, -_FAR_PX, _FAR_PX), jacobian, np.abs(rays[..., 2] / slope)
 
 
-def post_errors(
-    cameras: Cameras, sight: Sight, shape: Shape, match: IntArray
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Posts:
+    """Seen posts against landmarks (k, p, q): how far and in which direction (k, p, q, 2) those are, radii, sines and
+    cosines of half their widths; the directions (k, p, q, 4) of each end's edge."""
+
+    far: FloatArray
+    towards: FloatArray
+    radius: FloatArray
+    sine: FloatArray
+    cosine: FloatArray
+    x: FloatArray
+    y: FloatArray
+    rays: FloatArray
+    slope: FloatArray
+
+    @staticmethod
+    def of(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -> "_Posts":
+        away = shape.posts[match] - cameras.centre[:, None, None, :2]
+        far = np.sqrt(np.maximum(away[..., 0] ** 2 + away[..., 1] ** 2, 1e-6))
+        towards = away / far[..., None]
+        radius = shape.radii[match]
+        if shape.square:  # its silhouette is as wide as the square's corners are apart
+            radius = radius * np.abs(towards).sum(axis=-1)
+        sine = np.minimum(radius / far, 0.9)
+        cosine = np.sqrt(1.0 - sine * sine)
+        # the edges' directions: that of the post turned by +- asin(radius / distance)
+        turn = _SIDES * sine[..., None]
+        x = towards[..., 0, None] * cosine[..., None] - towards[..., 1, None] * turn
+        y = towards[..., 1, None] * cosine[..., None] + towards[..., 0, None] * turn
+        rays, across = cameras.turned(sight.post_rays)[:, :, None], cameras.turned(sight.post_across)[:, :, None]
+        slope = across[..., 1] * x - across[..., 0] * y
+        slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
+        return _Posts(far, towards, radius, sine, cosine, x, y, rays, slope)
+
+    def feet(self, cameras: Cameras) -> FloatArray:
+        """(k, p, q, 3) off the camera: a radius before the axis, on the ground."""
+        out = np.empty((*self.far.shape, 3))
+        out[..., :2] = (self.far - self.radius)[..., None] * self.towards
+        out[..., 2] = -cameras.centre[:, 2, None, None]
+        return out
+
+
+def post_errors(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Of each seen post to landmarks (k, p, q): errors (k, p, q, 6) of the four ends of its edges and its foot's two
-    coordinates, Jacobians (k, p, q, 6, 6), and whether the landmark stands before the camera. A foot that is not seen
-    is right."""
-    count, posts, choices = match.shape
-    away = shape.posts[match] - cameras.centre[:, None, None, :2]
-    far2 = np.sum(away * away, axis=-1)
-    far = np.sqrt(np.maximum(far2, 1e-6))
-    towards = away / far[..., None]
-    radius = shape.radii[match]
-    if shape.square:  # its silhouette is as wide as the square's corners are apart
-        radius = radius * np.abs(towards).sum(axis=-1)
-    sine = np.minimum(radius / far, 0.9)
-    cosine = np.sqrt(1.0 - sine * sine)
-    side = np.array([1.0, 1.0, -1.0, -1.0])
-    # the edges' directions: that of the post turned by +- asin(radius / distance)
-    ex = towards[..., 0, None] * cosine[..., None] - side * towards[..., 1, None] * sine[..., None]
-    ey = towards[..., 1, None] * cosine[..., None] + side * towards[..., 0, None] * sine[..., None]
-    rays = cameras.turned(sight.post_rays)[:, :, None]
-    across = cameras.turned(sight.post_across)[:, :, None]
-    slope = across[..., 1] * ex - across[..., 0] * ey
-    slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
-    ahead = rays[..., 0] * ex + rays[..., 1] * ey
-    error = np.empty((count, posts, choices, 6))
-    error[..., :4] = np.clip((rays[..., 1] * ex - rays[..., 0] * ey) / slope, -_FAR_PX, _FAR_PX)
-    normal = np.zeros((*ex.shape, 3))
-    normal[..., 0], normal[..., 1] = -ey, ex
-    by_direction = -ahead / slope
-    widening = (side * (sine / (cosine * far))[..., None])[..., None] * towards[..., None, :]
-    turning = np.stack([away[..., 1], -away[..., 0]], axis=-1)[..., None, :] / np.maximum(far2, 1e-6)[..., None, None]
-    by_centre = np.zeros((*ex.shape, 3))
-    by_centre[..., :2] = by_direction[..., None] * (turning + widening)
-    jacobian = np.zeros((count, posts, choices, 6, 6))
-    jacobian[..., :4, :] = cameras.columns(by_centre, cross(rays, normal) / slope[..., None])
-
-    foot = np.zeros((count, posts, choices, 3))
-    foot[..., :2] = away - radius[..., None] * towards
-    foot[..., 2] = -cameras.centre[:, 2, None, None]
-    off, by_state, before = point_errors(cameras, sight.feet.rays, sight.feet.by_ray, foot)
-    known = sight.feet.known[:, None, None]
-    error[..., 4:] = np.where(known, off, 0.0)
-    jacobian[..., 4:, :] = np.where(known[..., None], by_state, 0.0)
-    return error, jacobian, (ahead > 0.0).all(axis=-1) & (before | ~sight.feet.known[:, None])
+    coordinates, and whether the landmark stands before the camera. A foot that is not seen is right."""
+    posts = _Posts.of(cameras, sight, shape, match)
+    ahead = posts.rays[..., 0] * posts.x + posts.rays[..., 1] * posts.y
+    error = np.empty((*match.shape, 6))
+    off = (posts.rays[..., 1] * posts.x - posts.rays[..., 0] * posts.y) / posts.slope
+    error[..., :4] = np.clip(off, -_FAR_PX, _FAR_PX)
+    at_foot, before = point_errors(cameras, sight.feet, posts.feet(cameras))
+    known = sight.feet.known[:, None]
+    error[..., 4:] = np.where(known[..., None], at_foot, 0.0)
+    return error, (ahead > 0.0).all(axis=-1) & (before | ~known)
 
 
-def point_errors(
-    cameras: Cameras, rays: FloatArray, by_ray: FloatArray, away: FloatArray
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Of points seen in rays (n, 3), pixels' change with which is by_ray (n, 2, 3), to points (k, n, q, 3) off the
-    camera, field axes: errors (k, n, q, 2), Jacobians (k, n, q, 2, 6), whether they are before the camera."""
-    along = np.sum(cameras.turned(rays)[:, :, None] * away, axis=-1)
+def post_jacobians(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -> FloatArray:
+    """(k, p, q, 6, 6) of `post_errors`."""
+    posts = _Posts.of(cameras, sight, shape, match)
+    ahead = posts.rays[..., 0] * posts.x + posts.rays[..., 1] * posts.y
+    normal = np.zeros((*posts.x.shape, 3))
+    normal[..., 0], normal[..., 1] = -posts.y, posts.x
+    # the edge's direction turns as the camera walks past the post, and as it comes nearer
+    past = np.stack([posts.towards[..., 1], -posts.towards[..., 0]], axis=-1)[..., None, :]
+    nearer = (_SIDES * (posts.sine / posts.cosine)[..., None])[..., None] * posts.towards[..., None, :]
+    by_centre = np.zeros((*posts.x.shape, 3))
+    by_centre[..., :2] = (-ahead / posts.slope)[..., None] * (past + nearer) / posts.far[..., None, None]
+    jacobian = np.zeros((*match.shape, 6, 6))
+    jacobian[..., :4, :] = cameras.columns(by_centre, cross(posts.rays, normal) / posts.slope[..., None])
+    by_state = point_jacobians(cameras, sight.feet, posts.feet(cameras))
+    jacobian[..., 4:, :] = np.where(sight.feet.known[:, None, None, None], by_state, 0.0)
+    return jacobian
+
+
+def point_errors(cameras: Cameras, points: Points, away: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Of points seen, n, to points (k, n, q, 3) off the camera, field axes: errors (k, n, q, 2), and whether they are
+    before the camera."""
+    along, before, in_field = _seen_points(cameras, points, away)
+    error = (in_field @ away[..., None])[..., 0] / along[..., None]
+    return np.clip(np.where(before[..., None], error, _FAR_PX), -_FAR_PX, _FAR_PX), before
+
+
+def point_jacobians(cameras: Cameras, points: Points, away: FloatArray) -> FloatArray:
+    """(k, n, q, 2, 6) of `point_errors`."""
+    along, _, in_field = _seen_points(cameras, points, away)
+    scaled = in_field / along[..., None, None]
+    # scaled . (a x away) = a . (away x scaled), and the point turns back where the camera turns on
+    return cameras.columns(-scaled, -cross(away[..., None, :], scaled))
+
+
+def _seen_points(
+    cameras: Cameras, points: Points, away: FloatArray
+) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+    """Distance along the seen ray (k, n, q), one where not before the camera; before; by_ray in the field."""
+    along = np.sum(cameras.turned(points.rays)[:, :, None] * away, axis=-1)
     before = along > 1e-3
-    scale = np.where(before, along, 1.0)[..., None, None]
-    in_field = cameras.turned(by_ray)[:, :, None] / scale  # (k, n, q, 2, 3)
-    error = np.where(before[..., None], (in_field @ away[..., None])[..., 0], _FAR_PX)
-    by_turn = -cross(away[..., None, :], in_field)  # in_field . (a x away) = a . (away x in_field), and it turns back
-    return np.clip(error, -_FAR_PX, _FAR_PX), cameras.columns(-in_field, by_turn), before
+    return np.where(before, along, 1.0), before, cameras.turned(points.by_ray)[:, :, None]
 
 
 def circle_errors(cameras: Cameras, sight: Sight, circle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ from fieldloc.locate.shape import Shape
 from fieldloc.locate.sight import Sight
 from fieldloc.pose import FloatArray
 
-_SAMPLES = 17
+_SAMPLES = 13
 _MARGIN_PX = 10.0
 _LONG_PX = (40.0, 120.0)  # from where on a visible line is expected to be found, and where it surely is
 _WIDE_PX = (1.5, 4.0)

@@ -54,7 +54,7 @@ class Matches:
 @dataclass(frozen=True)
 class Noise:
     """widen_px: how much farther off everything may be than noise makes it, while states are still rough.
-    scale: (k,) of the model's noise, as a variance."""
+    scale: (k,) of the model's noise, as a variance, or (1,) for all."""
 
     sight: Sight
     shape: Shape
@@ -84,15 +84,15 @@ class Noise:
         return np.asarray(self._of(self.settings.map_m * px_per_m) + self.sight.circle_sigmas**2)
 
     @cached_property
-    def of_posts(self) -> FloatArray:
-        """(k, p, 6, 6) covariance of a post's six numbers; unit variances in place of a foot that is not seen."""
+    def whitening_of_posts(self) -> FloatArray:
+        """(k, p, 6, 6) makes white noise of a post's six numbers; those of a foot that is not seen are left as zero."""
         sight = self.sight
         model = self._post_px2
         out = np.zeros((*model.shape, 6, 6))
         out[..., :4, :4] = sight.post_noise + model[..., None, None] * np.eye(4)
         foot = sight.feet.noise + model[..., None, None] * np.eye(2)
         out[..., 4:, 4:] = np.where(sight.feet.known[:, None, None], foot, np.eye(2))
-        return out
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(out)))
 
 
 def match(cameras: Cameras, noise: Noise) -> Matches:
@@ -120,28 +120,28 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     over = over / (_OVER_M + (_OVER_PX + noise.widen_px) * m_per_px[..., None])
     misfit = misfit + np.minimum((over * over).sum(axis=2), 1e6)
     log_density = -0.5 * misfit - 0.5 * np.log(determinant) - _LOG_2PI
-    log_density = log_density + _widths_fit(noise, px_per_m)
     before = below[:, :, 0] & below[:, :, 1]
     gain = np.where(before[..., None], log_density, -np.inf)
     best = np.argmax(gain, axis=2)
     log_clutter = -2.0 * np.log(sight.camera.height_px)
     log_odds = np.log((1.0 - settings.false_line) / settings.false_line) - np.log(len(shape.starts))
     gains = np.take_along_axis(gain, best[..., None], axis=2)[..., 0] - log_clutter + log_odds
+    gains = gains + _widths_fit(noise, np.take_along_axis(px_per_m, best[:, :, None, None], axis=3)[..., 0])
     right = gains > 0.0
     return np.where(right, best, -1), np.where(right, gains, 0.0)
 
 
 def _widths_fit(noise: Noise, px_per_m: FloatArray) -> FloatArray:
-    """(k, l, m) log density of the widths, less that of any width; zero where they are not known."""
+    """(k, l) log density of the widths at both ends, less that of any width; zero where they are not known."""
     sight = noise.sight
     known = np.asarray(np.isfinite(sight.widths), dtype=np.bool_)
     seen, sigma = np.where(known, sight.widths, 0.0), np.where(known, sight.width_sigmas, 1.0)
     expected = np.minimum(px_per_m * noise.shape.line_width_m, 1e3)
-    variance = (sigma**2 + _WIDTH_PX**2)[..., None] + (_WIDTH * expected) ** 2
-    fit = -0.5 * (seen[..., None] - expected) ** 2 / variance - 0.5 * np.log(2.0 * np.pi * variance) - _LOG_WIDTH
+    variance = sigma**2 + _WIDTH_PX**2 + (_WIDTH * expected) ** 2
+    fit = -0.5 * (seen - expected) ** 2 / variance - 0.5 * np.log(2.0 * np.pi * variance) - _LOG_WIDTH
     # both ends' widths are one and the same error: their mean says it
     ends = np.maximum(np.sum(known, axis=1), 1)
-    return np.asarray(np.where(known[..., None], fit, 0.0).sum(axis=2) / ends.reshape(-1, 1))
+    return np.asarray(np.where(known, fit, 0.0).sum(axis=2) / ends)
 
 
 def _match_posts(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
@@ -150,11 +150,12 @@ def _match_posts(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     if not posts or not marks:
         return np.full((count, posts), -1), np.zeros((count, posts))
     choices = np.broadcast_to(np.arange(marks), (count, posts, marks))
-    error, _, ahead = post_errors(cameras, sight, shape, choices)
-    precision = np.linalg.inv(noise.of_posts)
-    misfit = np.sum((error @ precision) * error, axis=-1)
+    error, ahead = post_errors(cameras, sight, shape, choices)
+    whitening = noise.whitening_of_posts
+    white = error @ np.swapaxes(whitening, -1, -2)
+    misfit = np.sum(white * white, axis=-1)
     numbers = np.where(sight.feet.known, 6.0, 4.0)
-    log_norm = 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * numbers * _LOG_2PI
+    log_norm = np.log(np.diagonal(whitening, axis1=-2, axis2=-1)).sum(axis=-1) - 0.5 * numbers * _LOG_2PI
     log_clutter = _LOG_POST + np.where(sight.feet.known, _LOG_FOOT, 0.0)
     log_odds = np.log((1.0 - settings.false_post) / settings.false_post) - np.log(marks)
     gain = (log_norm - log_clutter + log_odds)[..., None] - 0.5 * misfit

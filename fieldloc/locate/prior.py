@@ -14,7 +14,6 @@ _HEIGHT_SIGMA_M = 0.03
 _HEIGHT_M, _HEIGHT_WIDE_M = 0.8, 0.5
 _PITCH_RAD, _PITCH_WIDE_RAD = math.radians(15.0), math.radians(20.0)
 _ROLL_WIDE_RAD = math.radians(6.0)
-_KNOWN_RAD = math.radians(8.0)
 _KNOWN_HEIGHT = 0.25
 
 
@@ -42,8 +41,9 @@ class CameraPrior:
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
     @property
-    def knows_attitude(self) -> bool:
-        return bool((self.sigmas[1:] < _KNOWN_RAD).all())
+    def precision(self) -> FloatArray:
+        """(3, 3) the inverse of the covariance."""
+        return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
 
     @property
     def knows_height(self) -> bool:

@@ -1,0 +1,69 @@
+"""States with covariance and evidence, over all amounts of the model's noise that their residuals allow.
+
+How far a map is off its field, and a lens off its model, is not known beforehand, but the residuals of one picture show
+it: each amount of such noise has its own fit, with its own evidence, and what few residuals cannot tell stays open, in
+the covariance.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldloc import pose as se2
+from fieldloc.locate.errors import Cameras
+from fieldloc.locate.evidence import log_missed
+from fieldloc.locate.matching import Matches, Noise, match
+from fieldloc.locate.refine import linearise, stepped
+from fieldloc.locate.task import Task
+from fieldloc.pose import FloatArray
+
+_AMOUNTS = np.array([0.003, 0.03, 0.2, 1.0, 5.0])  # of the model's noise, as variances
+_STEPS = 2
+_LEAST_NUMBERS = 4  # of a pose, height and attitude known somewhat
+_UNKNOWN = np.array([1.5, 1.5, 0.5])  # standard deviations of what is no pose any more
+_MARGIN = 25.0  # so much less evidence than the best is none
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """states: (k, 6). covariances: (k, 6, 6) of these. log_evidence: (k,) log density of all detected, less that if
+    none of it were the map's, integrated over all states. Of those worth telling only."""
+
+    states: FloatArray
+    covariances: FloatArray
+    matches: Matches
+    log_evidence: FloatArray
+
+
+def settle(task: Task, states: FloatArray) -> Settled:
+    shape, prior, settings = task.shape, task.prior, task.settings
+    count, amounts = len(states), len(_AMOUNTS)
+    noise = Noise(task.sight, shape, settings, 0.0, np.tile(_AMOUNTS, count))
+    fitted = np.repeat(states, amounts, axis=0)
+    matches = match(Cameras.at(states), task.noise()).take(np.repeat(np.arange(count), amounts))
+    for _ in range(_STEPS):
+        fitted = stepped(fitted, linearise(Cameras.at(fitted), noise, matches, prior))
+    cameras = Cameras.at(fitted)
+    matches = match(cameras, noise)
+    step = linearise(cameras, noise, matches, prior)
+    covariances = np.linalg.inv(step.information)
+    log_prior = 0.5 * np.linalg.slogdet(prior.precision)[1] - 1.5 * _LOG_2PI - 0.5 * step.prior
+    log_volume = 3.0 * _LOG_2PI - 0.5 * np.linalg.slogdet(step.information)[1]
+    logs = matches.gains + log_prior + log_volume - np.log(shape.area_m2 * 2.0 * np.pi) - np.log(amounts)
+    xy = fitted[:, :2]
+    possible = ((xy > shape.box[:2]) & (xy < shape.box[2:])).all(axis=1) & (step.numbers >= _LEAST_NUMBERS)
+    logs = np.where(possible, logs, -np.inf).reshape(count, amounts)
+    log_evidence = np.logaddexp.reduce(logs, axis=1)
+    shares = np.exp(logs - np.maximum(log_evidence, -1e9)[:, None])
+    rows = np.arange(count) * amounts + np.argmax(logs, axis=1)
+    off = fitted.reshape(count, amounts, 6) - fitted[rows][:, None]
+    off[..., [2, 5]] = se2.wrap(off[..., [2, 5]])
+    second = covariances.reshape(count, amounts, 6, 6) + off[..., None] * off[..., None, :]
+    covariance = np.einsum("ks,ksij->kij", shares, second)
+    known = (covariance[:, [0, 1, 2], [0, 1, 2]] < _UNKNOWN**2).all(axis=1)
+    log_evidence = np.where(known, log_evidence, -np.inf)
+    good = np.flatnonzero(log_evidence > max(float(log_evidence.max()) - _MARGIN, -1e9))
+    states, covariance, matches = fitted[rows][good], covariance[good], matches.take(rows[good])
+    missed = log_missed(Cameras.at(states), task.sight, shape, matches, settings)
+    return Settled(states, covariance, matches, log_evidence[good] + missed)

@@ -1,0 +1,59 @@
+"""What all steps of one picture's location share."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc import pose as se2
+from fieldloc.locate.errors import Cameras
+from fieldloc.locate.matching import Matches, Noise, match
+from fieldloc.locate.prior import CameraPrior
+from fieldloc.locate.settings import LocateSettings
+from fieldloc.locate.shape import Shape
+from fieldloc.locate.sight import Sight
+from fieldloc.pose import FloatArray
+
+_SAME_M, _SAME_RAD = 0.1, 0.03
+_LOOKED_AT = 3  # times as many as are wanted: the next ones are hardly better than the last of these
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    sight: Sight
+    shape: Shape
+    prior: CameraPrior
+    settings: LocateSettings
+
+    def noise(self, widen_px: float = 0.0) -> Noise:
+        return Noise(self.sight, self.shape, self.settings, widen_px, np.ones(1))
+
+    def score(self, states: FloatArray, matches: Matches) -> FloatArray:
+        """(k,) how well states explain what they are matched with."""
+        off = states[:, 3:] - self.prior.mean
+        return np.asarray(matches.gains - 0.5 * np.sum(off @ self.prior.precision * off, axis=1))
+
+    def matched(self, states: FloatArray, widen_px: float = 0.0) -> tuple[Matches, FloatArray]:
+        matches = match(Cameras.at(states), self.noise(widen_px))
+        return matches, self.score(states, matches)
+
+    def best(self, states: FloatArray, scores: FloatArray, most: int, margin: float) -> NDArray[np.intp]:
+        """Rows of at most so many, best first, none worse than the best by more than the margin, no two of which are
+        the same place or its twin."""
+        order = np.argsort(-scores, kind="stable")[: _LOOKED_AT * most]
+        order = order[scores[order] > scores[order[:1]] - margin]
+        poses = states[order, :3]
+        same = np.zeros((len(order), len(order)), dtype=np.bool_)
+        for turn in (np.zeros(3), *self.shape.symmetries):
+            off = se2.compose(turn, poses)[:, None] - poses
+            near = off[..., 0] ** 2 + off[..., 1] ** 2 < _SAME_M**2
+            same |= near & (np.abs(se2.wrap(off[..., 2])) < _SAME_RAD)
+        kept: list[int] = []
+        taken = np.zeros(len(order), dtype=np.bool_)
+        for i in range(len(order)):
+            if not taken[i]:
+                kept.append(i)
+                taken |= same[i]
+                if len(kept) == most:
+                    break
+        return np.asarray(order[kept], dtype=np.intp)
