@@ -2,9 +2,9 @@
 
 import sys
 
-from benchmarks import ambiguity, pareto, reading, writing
+from benchmarks import ambiguity, engines, pareto, reading, writing
 
-BENCHMARKS = {"ambiguity": ambiguity, "pareto": pareto, "reading": reading, "writing": writing}
+BENCHMARKS = {"ambiguity": ambiguity, "engines": engines, "pareto": pareto, "reading": reading, "writing": writing}
 
 
 def main(arguments: list[str]) -> int:

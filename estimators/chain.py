@@ -38,18 +38,27 @@ class Chain:
             return np.zeros((len(self.stamps_ns), 3))
         moved = np.array([motion.before_from_after for motion in self.motions])
         by_calibration = np.array([motion.by_calibration for motion in self.motions])
-        return velocities(moved, by_calibration @ calibration, self.stamps_ns)
+        return velocities(moved, by_calibration @ calibration, np.diff(self.stamps_ns).astype(np.float64) * 1e-9)
 
     def levers(self, calibration: FloatArray) -> FloatArray:
         """(n, 3, 2) of the sensor's calibration at each node (estimators.sensor.lever): see estimators.solution."""
         return lever(self.velocities(calibration))
 
+    def seen_from(self, poses: FloatArray, calibration: Sequence[float], sensor: Sequence[float]) -> FloatArray:
+        """(n, 3) where a sensor of that calibration (2,) was when it saw what it says at the nodes of those poses."""
+        return se2.retract(poses, self.levers(np.array(calibration)) @ np.array(sensor))
 
-def velocities(moved: FloatArray, miscalibrated: FloatArray, stamps_ns: Sequence[int] | IntArray) -> FloatArray:
-    """(n, 3) just before each of n >= 2 nodes, from the motions (n - 1, 3) between them and from what a calibration
-    changes of these (n - 1, 3)."""
-    out = se2.log(se2.retract(moved, miscalibrated)) / (np.diff(stamps_ns) * 1e-9)[:, None]
-    return np.concatenate([out[:1], out])
+
+def levers(stamps_ns: Sequence[int], motions: Sequence[Increment]) -> FloatArray:
+    """(n, 3, 2) as Chain.levers, by an odometry that is taken at its word."""
+    return Chain(tuple(stamps_ns), tuple(motions), (), np.zeros((0, 3))).levers(np.zeros(6))
+
+
+def velocities(moved: FloatArray, miscalibrated: FloatArray, durations_s: FloatArray) -> FloatArray:
+    """(n, 3) just before each of n nodes, from the motions (n - 1, 3) between them, what a calibration changes of these
+    (n - 1, 3), and how long they took (n - 1,)."""
+    out = se2.log(se2.retract(moved, miscalibrated)) / durations_s[:, None]
+    return np.concatenate([out[:1] if len(out) else np.zeros((1, 3)), out])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,14 +93,18 @@ class Recorded:
     def chain(self, choices: IntArray, breaks: Iterable[int], guess: FloatArray, factors_of: Factors) -> Chain:
         """choices: (t,) the solution that each mixture is taken for, -1 for none. breaks: nodes to which the robot was
         carried. factors_of: a mixture's factors by its index and the solution."""
-        motions = list(self.motions)
-        for node in breaks:
-            motions[node - 1] = replace(motions[node - 1], covariance=ANYWHERE)
         factors = list(self.factors)
         for index, ((node, _), choice) in enumerate(zip(self.mixtures, choices.tolist(), strict=True)):
             if choice >= 0:
                 factors += [(node, factor) for factor in factors_of(index, choice)]
-        return Chain(self.stamps_ns, tuple(motions), tuple(factors), guess)
+        return Chain(self.stamps_ns, self.carried(breaks), tuple(factors), guess)
+
+    def carried(self, breaks: Iterable[int]) -> tuple[Increment, ...]:
+        """The motions of a robot that was carried to these nodes."""
+        motions = list(self.motions)
+        for node in breaks:
+            motions[node - 1] = replace(motions[node - 1], covariance=ANYWHERE)
+        return tuple(motions)
 
 
 class ChainRecorder:

@@ -132,3 +132,8 @@ AnyFactor = TypeVar("AnyFactor", bound=Factor)
 def sighted(factor: AnyFactor) -> AnyFactor:
     """The same factor, as of something that a sensor on the robot saw."""
     return replace(factor, by_sight=True) if isinstance(factor, (PoseFactor, LandmarkFactor, LineFactor)) else factor
+
+
+def is_by_sight(factor: Factor) -> bool:
+    """Whether it is about the pose that a sensor on the robot saw something from."""
+    return isinstance(factor, (PoseFactor, LandmarkFactor, LineFactor)) and factor.by_sight

@@ -3,14 +3,14 @@
 import argparse
 import json
 import os
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from estimators.config import Config
+from estimators.config import ENGINES, Config
 from estimators.config_file import load_config, with_settings
 from fieldloc.cli.commands import RUNS, Commands, Parser, start
 from fieldloc.cli.reading import add_meaning_options, add_part_options, open_log
-from fieldloc.cli.terminal import bar, say, warn, warning_of
+from fieldloc.cli.terminal import bar, patience, say, warn, warning_of
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap, load_field
 from fieldloc.regions import REGIONS
@@ -24,9 +24,12 @@ def add_commands(commands: Commands) -> None:
     sub = commands.add("run", _localize, "A log through an online estimator", "run woods.mcap --estimator mixture")
     _add_result_options(sub, "runs/LOG-ESTIMATOR.mcap")
     sub.add_argument("--estimator", choices=ONLINE, default=ONLINE[0], help="default: %(default)s")
+    sub.set_defaults(engine=None)
 
     sub = commands.add("smooth", _localize, "The best trajectory, in hindsight", "smooth woods.mcap -o best.mcap")
     _add_result_options(sub, "runs/LOG-smooth.mcap")
+    engine_help = "what solves for all poses: gtsam, or chain, which is faster and the same (default: graph.engine's)"
+    sub.add_argument("--engine", choices=ENGINES, help=engine_help)
     sub.set_defaults(estimator="smooth")
 
     what, example = "Estimators side by side: a report", "compare woods.mcap --estimators ekf,smooth"
@@ -73,6 +76,7 @@ def _add_result_options(sub: Parser, default: str) -> None:
 
 
 def _localize(options: argparse.Namespace) -> None:
+    from estimators import engines
     from estimators.registry import ALL
     from logs.estimates import write_estimates
     from logs.output import output_file
@@ -81,8 +85,13 @@ def _localize(options: argparse.Namespace) -> None:
 
     name, first = options.estimator, options.logs[0]
     config, field = settings(options)
+    if options.engine is not None:
+        config = replace(config, graph=replace(config.graph, engine=options.engine))
     log = open_log(options, options.logs)
     out = output_file(options.output or RUNS / f"{first.stem}-{name}.mcap", *options.logs)
+    if name == "smooth":
+        with patience(options, "the chain engine is being made ready: once, for up to half a minute"):
+            engines.prepare(config)
     with warning_of(log), bar(options, name) as progress:
         recording = load_recording(log, field, progress)
         done = replay(recording, ALL[name](config), options.start, config, progress)

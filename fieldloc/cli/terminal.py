@@ -4,9 +4,12 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from threading import Timer
 from typing import Protocol
 
 from logs.progress import Progress, watch
+
+_A_MOMENT_S = 1.0
 
 
 class Warned(Protocol):
@@ -41,6 +44,18 @@ def say(options: argparse.Namespace, text: str) -> None:
     """A summary, for who wants one."""
     if not options.quiet:
         print(text, flush=True)
+
+
+@contextmanager
+def patience(options: argparse.Namespace, why: str) -> Iterator[None]:
+    """Says why nothing happens, if it takes more than a moment."""
+    late = Timer(_A_MOMENT_S, lambda: None if options.quiet else print(f"fieldloc: {why}", file=sys.stderr, flush=True))
+    late.start()
+    try:
+        yield
+    finally:
+        late.cancel()
+        late.join()
 
 
 def bar(options: argparse.Namespace, what: str) -> AbstractContextManager[Progress]:

@@ -1,0 +1,103 @@
+"""A chain's normal equations at a state: motions and factors from numba or from arrays, and what is small by hand."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from estimators.chain import Chain
+from estimators.chain_engine.blocks import Blocks, Marginals
+from estimators.chain_engine.compass import CompassOffsets
+from estimators.config import Config
+from estimators.linearised import Linearised
+from estimators.motion import OdometryCalibration
+from estimators.sensor import SensorCalibration
+from estimators.solution import CALIBRATION, GLOBALS, Solution
+from fieldloc import pose as se2
+from fieldloc.pose import FloatArray
+
+_LEVER = np.array([1.0, 1.0, 0.2])  # m and m/rad: a turn moves what is so far away
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """poses (n, 3); common (GLOBALS,); offsets (n,) of the compass at each node."""
+
+    poses: FloatArray
+    common: FloatArray
+    offsets: FloatArray
+
+
+class Arithmetic(Protocol):
+    """What takes its time for each pose."""
+
+    def add_all(self, blocks: Blocks, poses: FloatArray, common: FloatArray, bend: float) -> float:
+        """All that is in estimators.linearised, to blocks with room for all that is free or for poses alone; what is
+        minimised there, the prior of what is common included.
+
+        bend: a factor's information along its error is made smaller by that of the kernel's own bend (as Newton's
+        method has it; Triggs et al. 2000, section 4.3), but never by more than this share; 0 for weights alone.
+        """
+
+    def solve(self, blocks: Blocks, damping: float) -> tuple[FloatArray, FloatArray]:
+        """Steps (n, d) and of the border (p,). damping: added to the diagonal of the blocks."""
+
+    def marginals(self, blocks: Blocks) -> Marginals: ...
+
+
+class Equations:
+    def __init__(self, chain: Chain, config: Config, arithmetic: Callable[[Linearised, float], Arithmetic]) -> None:
+        self._cauchy = config.graph.cauchy
+        linearised = Linearised(chain, config)
+        self.free, self.means = linearised.free, linearised.means
+        self._weights = linearised.sigmas[self.free] ** -2.0
+        self._compass = CompassOffsets.of(chain, config.compass)
+        self._arithmetic = arithmetic(linearised, config.graph.cauchy)
+
+    def at(self, state: State, whole: bool, bend: float) -> tuple[Blocks, float]:
+        """And what is minimised. whole: for all that is free; else for the poses alone, as if the rest were zero."""
+        n, d = len(state.poses), 4 if whole and self._compass.free else 3
+        q = 1 + (len(self._weights) if whole else 0)
+        blocks = Blocks(np.zeros((n, d, d)), np.zeros((n - 1, d, d)), np.zeros((n, d, q)), np.zeros((q, q)))
+        cost = self._arithmetic.add_all(blocks, state.poses, state.common, bend)
+        cost += self._compass.add_to(blocks, state.poses, state.offsets, self._cauchy, bend)
+        if whole:
+            towards = (self.means - state.common)[self.free] * self._weights
+            blocks.corner[:-1, :-1] += np.diag(self._weights)
+            blocks.corner[:-1, -1] += towards
+            blocks.corner[-1, :-1] += towards
+        return blocks, cost
+
+    def step(self, blocks: Blocks, damping: float, state: State) -> tuple[State, float]:
+        """The state that the blocks lead to, and how far (m) the pose that moves most does so on the way."""
+        steps, border = self._arithmetic.solve(blocks, damping)
+        common = state.common.copy()
+        if len(border):
+            common[self.free] += border
+        offsets = state.offsets + steps[:, 3] if steps.shape[1] == 4 else state.offsets
+        return State(se2.retract(state.poses, steps[:, :3]), common, offsets), float(
+            np.abs(steps[:, :3] * _LEVER).max()
+        )
+
+    def start(self, near: Solution) -> FloatArray:
+        """(n,) the compass' offset at each node by an earlier solution."""
+        return self._compass.at_nodes(near.compass_rad)
+
+    def solution(self, blocks: Blocks, state: State) -> Solution:
+        """The answer where the blocks are from."""
+        marginals = self._arithmetic.marginals(blocks)
+        covariance = np.zeros((GLOBALS, GLOBALS))
+        covariance[np.ix_(self.free, self.free)] = marginals.border
+        variances, following = marginals.covariances[:, -1, -1], marginals.following[:, -1, -1]
+        compass_rad, compass_variance, left_out = self._compass.at_knots(state.offsets, variances, following)
+        return Solution(
+            state.poses,
+            np.ascontiguousarray(marginals.covariances[:, :3, :3]),
+            OdometryCalibration(*state.common[:CALIBRATION].tolist()),
+            SensorCalibration(*state.common[CALIBRATION:].tolist()),
+            covariance,
+            compass_rad,
+            compass_variance,
+            marginals.log_determinant + left_out,
+        )
