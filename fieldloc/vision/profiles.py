@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldloc.pose import FloatArray
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.turf import Mask
 
 _SAMPLES = 41  # of a profile
-_MARGIN_PX = 4.0  # of turf on either side, beside a share of the width
+_MARGIN_PX = 3.0  # of turf on either side, beside a share of the width
+_BRIGHTER = 0.3  # of the way from the turf to the white
 _SMOOTHED = 3  # neighbouring profiles are averaged, as grass is rougher than the pixels
 
 
@@ -36,7 +36,7 @@ def measure(grey: UInt8Array, centres: FloatArray, normals: FloatArray, width_px
 
     Neighbours in the list are taken to be neighbours on the line.
     """
-    reach = 0.9 * width_px + _MARGIN_PX
+    reach = 0.7 * width_px + _MARGIN_PX
     steps = np.linspace(-1.0, 1.0, _SAMPLES)
     x = reach[:, None] * steps
     u = (centres[:, :1] + x * normals[:, :1]).astype(np.float32)
@@ -46,28 +46,28 @@ def measure(grey: UInt8Array, centres: FloatArray, normals: FloatArray, width_px
     inside = ((u[:, [0, -1]] >= 0) & (u[:, [0, -1]] <= grey.shape[1] - 1)).all(axis=1)
     inside &= ((v[:, [0, -1]] >= 0) & (v[:, [0, -1]] <= grey.shape[0] - 1)).all(axis=1)
     half = 0.5 * width_px[:, None]
-    beyond = np.abs(x) > half + 1.5
-    left, right = beyond & (x < 0), beyond & (x > 0)
-    turf = np.stack([_mean(values, left), _mean(values, right)], axis=1)
     core = np.abs(x) <= np.maximum(0.5 * half, 0.75)
-    white = _mean(values, core)
-    edges = []
-    middle = _SAMPLES // 2
-    for side, sign in ((0, -1), (1, 1)):
-        bar = 0.5 * (white + turf[:, side])[:, None]
+    white = ((values * core).sum(axis=1) / core.sum(axis=1))[:, None]
+    edges, turf = [], []
+    middle, row = _SAMPLES // 2, np.arange(len(values))
+    away = x[:, middle:]
+    for sign in (-1, 1):
         outward = values[:, middle::sign]
-        below = outward < bar
+        # The turf's level is the lowest until it gets brighter again: another line may be near.
+        lowest = np.minimum.accumulate(np.where(away > half + 1.0, outward, np.float32(255.0)), axis=1)
+        brighter = outward > lowest + _BRIGHTER * (white - lowest)
+        brighter[:, -1] = True
+        level = lowest[row, brighter.argmax(axis=1)]
+        bar = 0.5 * (white[:, 0] + level)
+        below = outward < bar[:, None]
         first = np.maximum(below.argmax(axis=1), 1)
-        row = np.arange(len(values))
         inner, outer = outward[row, first - 1], outward[row, first]
-        share = (inner - bar[:, 0]) / np.maximum(inner - outer, 1e-3)
+        share = (inner - bar) / np.maximum(inner - outer, 1e-3)
         found = below.any(axis=1) & ~below[:, 0]
         edges.append(np.where(found, (first - 1 + share) * sign, np.nan) * reach * (steps[1] - steps[0]))
+        turf.append(level)
     width = edges[1] - edges[0]
-    step = white - turf.max(axis=1)
+    step = white[:, 0] - np.maximum(turf[0], turf[1])
     good = inside & np.isfinite(width) & (step > 0) & (width > 0.4 * width_px) & (width < 2.0 * width_px + 1.0)
+    good &= np.abs(turf[0] - turf[1]) < step
     return Profiles(0.5 * (edges[0] + edges[1]), width, step, good)
-
-
-def _mean(values: NDArray[np.float32], mask: Mask) -> FloatArray:
-    return np.asarray((values * mask).sum(axis=1) / np.maximum(mask.sum(axis=1), 1), dtype=np.float64)
