@@ -21,52 +21,54 @@ _SHARE = (0.25, 0.6)  # of a circle
 def log_missed(cameras: Cameras, sight: Sight, shape: Shape, matches: Matches, settings: LocateSettings) -> FloatArray:
     """(k,) log probability that all of the map's things in sight that match nothing were overlooked."""
     out = np.zeros(len(cameras.states))
+    share = np.linspace(0.0, 1.0, _SAMPLES)[:, None] * shape.lengths[:, None, None]
+    angle = np.linspace(0.0, 2.0 * np.pi, _SAMPLES, endpoint=False)
+    rim = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    lines = shape.starts[:, None] + share * shape.directions[:, None]
+    circles = shape.circles[:, None, :2] + shape.circles[:, None, 2:] * rim
+    counts = np.cumsum([lines.size // 2, circles.size // 2])
+    points = np.concatenate([lines.reshape(-1, 2), circles.reshape(-1, 2), shape.posts])
+    all_pixels, all_scale, all_visible = _projected(cameras, sight, points)
+    pixels, scale = np.split(all_pixels, counts, axis=1), np.split(all_scale, counts, axis=1)
+    visible = np.split(all_visible, counts, axis=1)
     if len(shape.starts):
-        share = np.linspace(0.0, 1.0, _SAMPLES)[:, None] * shape.lengths[:, None, None]
-        points = shape.starts[:, None] + share * shape.directions[:, None]
-        pixels, scale, visible = _projected(cameras, sight, points)
-        steps = np.hypot(*np.moveaxis(np.diff(pixels, axis=2), -1, 0))
-        both = visible[:, :, 1:] & visible[:, :, :-1]
-        length = np.where(both, steps, 0.0).sum(axis=2)
-        # px per metre across a line seen from the side: range is foreshortened by height / range
-        width = np.max(np.where(visible, scale, 0.0), axis=2) * shape.line_width_m
+        size = (len(out), len(shape.starts), _SAMPLES)
+        seen, wide = visible[0].reshape(size), scale[0].reshape(size)
+        steps = np.diff(pixels[0].reshape(*size, 2), axis=2)
+        steps = np.sqrt(steps[..., 0] ** 2 + steps[..., 1] ** 2)
+        length = np.where(seen[:, :, 1:] & seen[:, :, :-1], steps, 0.0).sum(axis=2)
+        width = np.max(np.where(seen, wide, 0.0), axis=2) * shape.line_width_m
         sure = _ramp(length, _LONG_PX) * _ramp(width, _WIDE_PX)
         found = (matches.lines[:, :, None] == np.arange(len(shape.starts))).any(axis=1)
         out = out + np.log1p(-settings.seen_line * np.where(found, 0.0, sure)).sum(axis=1)
-    if len(shape.posts):
-        _, scale, visible = _projected(cameras, sight, shape.posts[:, None])
-        far = np.linalg.norm(shape.posts - cameras.centre[:, None, :2], axis=-1)
-        sure = np.where(
-            visible[..., 0], _ramp(2.0 * shape.radii * sight.focal_px / np.maximum(far, 0.1), _POST_PX), 0.0
-        )
-        found = (matches.posts[:, :, None] == np.arange(len(shape.posts))).any(axis=1)
-        out = out + np.log1p(-settings.seen_post * np.where(found, 0.0, sure)).sum(axis=1)
     if len(shape.circles):
-        angle = np.linspace(0.0, 2.0 * np.pi, _SAMPLES, endpoint=False)
-        rim = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        points = shape.circles[:, None, :2] + shape.circles[:, None, 2:] * rim
-        _, scale, visible = _projected(cameras, sight, points)
-        width = np.median(np.where(visible, scale, 0.0), axis=2) * shape.line_width_m
-        sure = _ramp(visible.mean(axis=2), _SHARE) * _ramp(width, _WIDE_PX)
+        size = (len(out), len(shape.circles), _SAMPLES)
+        seen, wide = visible[1].reshape(size), scale[1].reshape(size)
+        width = np.median(np.where(seen, wide, 0.0), axis=2) * shape.line_width_m
+        sure = _ramp(seen.mean(axis=2), _SHARE) * _ramp(width, _WIDE_PX)
         found = matches.circle[:, None] == np.arange(len(shape.circles))
         out = out + np.log1p(-settings.seen_circle * np.where(found, 0.0, sure)).sum(axis=1)
+    if len(shape.posts):
+        far = np.linalg.norm(shape.posts - cameras.centre[:, None, :2], axis=-1)
+        wide = 2.0 * shape.radii * sight.focal_px / np.maximum(far, 0.1)
+        sure = np.where(visible[2], _ramp(wide, _POST_PX), 0.0)
+        found = (matches.posts[:, :, None] == np.arange(len(shape.posts))).any(axis=1)
+        out = out + np.log1p(-settings.seen_post * np.where(found, 0.0, sure)).sum(axis=1)
     return np.asarray(out)
 
 
 def _projected(cameras: Cameras, sight: Sight, points: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:
-    """Of ground points (m, s, 2): pixels (k, m, s, 2), pixels per metre in depth (k, m, s), well in the picture."""
-    count = len(cameras.states)
-    flat = np.concatenate([points.reshape(-1, 2), np.zeros((points.size // 2, 1))], axis=1)
-    away = flat - cameras.centre[:, None]
-    pixels, _ = sight.camera.project(away @ cameras.rotation)
+    """Of ground points (n, 2): pixels (k, n, 2), pixels per metre in depth (k, n), whether well in the picture."""
+    away = np.empty((len(cameras.states), len(points), 3))
+    away[..., :2] = points - cameras.centre[:, None, :2]
+    away[..., 2] = -cameras.centre[:, 2:]
     camera = sight.camera
+    pixels, _ = camera.project(away @ cameras.rotation)
     u, v = pixels[..., 0], pixels[..., 1]
     visible = (u > _MARGIN_PX) & (u < camera.width_px - _MARGIN_PX)
     visible &= (v > _MARGIN_PX) & (v < camera.height_px - _MARGIN_PX)
-    far2 = np.maximum(np.sum(away * away, axis=-1), 0.01)
-    scale = sight.focal_px * cameras.centre[:, None, 2] / far2
-    shape = (count, *points.shape[:-1])
-    return np.nan_to_num(pixels).reshape(*shape, 2), scale.reshape(shape), visible.reshape(shape)
+    far2 = np.maximum(np.einsum("kni,kni->kn", away, away), 0.01)
+    return np.nan_to_num(pixels), sight.focal_px * cameras.centre[:, 2:] / far2, visible
 
 
 def _ramp(value: FloatArray, limits: tuple[float, float]) -> FloatArray:

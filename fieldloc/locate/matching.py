@@ -65,11 +65,8 @@ class Noise:
     @cached_property
     def _post_px2(self) -> FloatArray:
         """(k, p): of one edge, from the model alone."""
-        sight = self.sight
-        left, right = sight.post_rays[:, :2].mean(axis=1), sight.post_rays[:, 2:].mean(axis=1)
-        width_rad = np.linalg.norm(left - right, axis=-1)
         diameter = 2.0 * float(np.mean(self.shape.radii)) if len(self.shape.radii) else 0.1
-        map_px = self.settings.map_m * width_rad * sight.focal_px / diameter
+        map_px = self.settings.map_m * self.sight.post_widths / diameter
         return self._of(map_px[None])
 
     def _of(self, map_px: FloatArray) -> FloatArray:

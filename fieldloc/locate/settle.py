@@ -18,7 +18,6 @@ from fieldloc.locate.task import Task
 from fieldloc.pose import FloatArray
 
 _AMOUNTS = np.array([0.003, 0.03, 0.2, 1.0, 5.0])  # of the model's noise, as variances
-_STEPS = 2
 _LEAST_NUMBERS = 4  # of a pose, height and attitude known somewhat
 _UNKNOWN = np.array([1.5, 1.5, 0.5])  # standard deviations of what is no pose any more
 _MARGIN = 25.0  # so much less evidence than the best is none
@@ -42,8 +41,7 @@ def settle(task: Task, states: FloatArray) -> Settled:
     noise = Noise(task.sight, shape, settings, 0.0, np.tile(_AMOUNTS, count))
     fitted = np.repeat(states, amounts, axis=0)
     matches = match(Cameras.at(states), task.noise()).take(np.repeat(np.arange(count), amounts))
-    for _ in range(_STEPS):
-        fitted = stepped(fitted, linearise(Cameras.at(fitted), noise, matches, prior))
+    fitted = stepped(fitted, linearise(Cameras.at(fitted), noise, matches, prior))
     cameras = Cameras.at(fitted)
     matches = match(cameras, noise)
     step = linearise(cameras, noise, matches, prior)

@@ -40,7 +40,7 @@ class Sight:
     """Lines: line_rays, line_across (l, 2, 3); line_noise (l, 2, 2) px^2 of both ends across it; line_lengths (l,) px;
     widths, width_sigmas (l, 2) px, NaN where not known. line_rows: (l,) of the detections.
     Posts: post_rays, post_across (p, 4, 3) of left upper, left lower, right upper, right lower end; post_noise
-    (p, 4, 4). Their feet and tops, p of each. post_rows: (p,).
+    (p, 4, 4); post_widths: (p,) px. Their feet and tops, p of each. post_rows: (p,).
     Circle, the largest: circle_rays (c, 3), circle_by_pixel (c, 3, 2), circle_sigmas (c,).
     """
 
@@ -55,6 +55,7 @@ class Sight:
     post_rays: FloatArray
     post_across: FloatArray
     post_noise: FloatArray
+    post_widths: FloatArray
     feet: Points
     tops: Points
     post_rows: NDArray[np.intp]
@@ -87,6 +88,7 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
     circle_rays, circle_by_pixel, circle_sigmas = _circle(camera, circle)
     marks = _points(camera, [(mark.centre_px, mark.covariance_px2) for mark in detections.marks])
     lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+    focal_px = 0.5 * (camera.fx_px + camera.fy_px)
     return Sight(
         camera,
         line_rays[good],
@@ -99,6 +101,7 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
         post_rays[stands],
         post_across[stands],
         post_noise[stands],
+        focal_px * np.linalg.norm(post_rays[stands, :2].mean(axis=1) - post_rays[stands, 2:].mean(axis=1), axis=-1),
         feet.take(stands),
         tops.take(stands),
         post_rows[stands],
@@ -152,6 +155,8 @@ def _points(camera: Camera, points: list[tuple[FloatArray | None, FloatArray | N
     for i, (pixel, covariance) in enumerate(points):
         if pixel is not None and covariance is not None and np.isfinite(pixel).all() and np.isfinite(covariance).all():
             pixels[i], noise[i], known[i] = pixel, covariance + _LEAST_PX2 * np.eye(2), True
+    if not known.any():
+        return Points(np.tile([0.0, 0.0, 1.0], (count, 1)), np.zeros((count, 2, 3)), noise, known)
     rays, exist = camera.ray(pixels)
     by_ray = camera.project_jacobian(rays)
     known &= exist & np.isfinite(by_ray).all(axis=(1, 2))
