@@ -13,6 +13,7 @@ from fieldloc.ground import project_points, robot_from_camera
 from fieldloc.measurements import CameraMount
 from fieldloc.pose import FloatArray, apply, inverse
 from fieldloc.render import Ball, Goals, Robot, Scene, Sensor, Turf, render, render_with_truth
+from fieldloc.render.crossings import crossings_of
 
 CAMERAS = {
     "pinhole": Camera("pinhole", 320, 240, 250.0, 250.0, 159.5, 119.5),
@@ -271,3 +272,27 @@ def test_a_net_covers_what_its_threads_cover_and_hides_nothing() -> None:
     for one, other in zip(truths[0].lines, truths[1].lines, strict=True):
         np.testing.assert_array_equal(one.ends_px, other.ends_px)
     assert np.array_equal(truths[0].hidden, truths[1].hidden)
+
+
+def test_the_truth_names_the_crossings_in_sight_by_how_lines_meet() -> None:
+    field = load_field("kidsize")
+    kinds = [one.kind for one in crossings_of(field)]
+    # corners of the field and of four areas; the halfway line and each area's sides end on another line; the goal
+    # areas lie within the penalty areas, nothing passes through another line
+    assert (kinds.count("L"), kinds.count("T"), kinds.count("X")) == (4 + 8, 2 + 8, 0)
+    mount = CameraMount(0.5, 0.0, 0.3, 0.0, np.zeros((4, 4)))
+    camera, pose = CAMERAS["pinhole"], np.array([1.5, 1.5, 0.3])
+    _, truth = render_with_truth(Scene(), camera, field, mount, pose, np.random.default_rng(0))
+    assert len(truth.crossings) > 2
+    for one in truth.crossings:
+        ends = [line.ends_px for line in truth.lines if line.line in one.lines]
+        to_pieces = [np.cross([*(end[1] - end[0]), 0.0], [*(one.point_px - end[0]), 0.0])[2] for end in ends]
+        lengths = [np.linalg.norm(end[1] - end[0]) for end in ends]
+        assert np.abs(np.array(to_pieces) / lengths).min() < 0.01
+
+
+def test_lines_that_pass_through_each_other_make_an_x() -> None:
+    lines = np.array([[[0.0, 0.0], [4.0, 0.0]], [[1.0, -1.0], [1.0, 1.0]], [[3.0, 0.01], [3.0, 1.0]]])
+    field = FieldMap("cross", lines, NO_CIRCLES, ())
+    assert [(one.kind, one.lines) for one in crossings_of(field)] == [("X", (0, 1)), ("T", (0, 2))]
+    np.testing.assert_allclose([one.point for one in crossings_of(field)], [[1.0, 0.0], [3.0, 0.0]], atol=1e-12)

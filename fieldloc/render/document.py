@@ -55,7 +55,13 @@ def truth_json(view: View, field_name: str, truth: Truth, seed: Sequence[int]) -
             {"labels": list(bar.labels), "upper_px": _list(bar.upper_px), "lower_px": _list(bar.lower_px)}
             for bar in truth.bars
         ],
+        "crossings": [
+            {"lines": list(one.lines), "kind": one.kind, "point_px": one.point_px.tolist()} for one in truth.crossings
+        ],
         "marks": [{"mark": mark.mark, "centre_px": mark.centre_px.tolist()} for mark in truth.marks],
+        "robots_m": [[robot.x_m, robot.y_m] for robot in view.scene.robots],
+        "people_m": [[person.x_m, person.y_m] for person in view.scene.people],
+        "balls_m": [[ball.x_m, ball.y_m] for ball in view.scene.balls],
         "hidden_share": float(truth.hidden.mean()),
     }
     return json.dumps(document)

@@ -13,6 +13,7 @@ from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
 from fieldloc.pose import FloatArray
 from fieldloc.render.canvas import Canvas
+from fieldloc.render.crossings import crossings_of
 from fieldloc.render.goals import crossbars, post_of
 from fieldloc.render.scene import Goals
 
@@ -72,6 +73,15 @@ class MarkTruth:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CrossingTruth:
+    """point_px: (2,) where the middles of two lines, rows of the map, meet in sight; kind: L, T or X."""
+
+    lines: tuple[int, int]
+    kind: str
+    point_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Truth:
     """hidden: (h, w) where something stands in front of the ground and the sky."""
 
@@ -80,6 +90,7 @@ class Truth:
     posts: tuple[PostTruth, ...]
     bars: tuple[BarTruth, ...]
     marks: tuple[MarkTruth, ...]
+    crossings: tuple[CrossingTruth, ...]
     hidden: NDArray[np.bool_]
 
 
@@ -107,9 +118,12 @@ def truth_of(canvas: Canvas, camera: Camera, field_map: FieldMap, goals: Goals, 
     bars = _bars(sight, field_map, goals, ranks)
     centres, seen = sight.visible(_on_ground(field_map.marks), 0)
     marks = tuple(MarkTruth(int(row), centres[row]) for row in np.flatnonzero(seen))
+    meeting = crossings_of(field_map)
+    points, seen = sight.visible(_on_ground(np.array([one.point for one in meeting]).reshape(-1, 2)), 0)
+    crossings = [CrossingTruth(meeting[row].lines, meeting[row].kind, points[row]) for row in np.flatnonzero(seen)]
     shown = [post for post in posts if post.left_px is not None or post.right_px is not None]
     hidden = (canvas.rank > 0).reshape(camera.height_px, camera.width_px)
-    return Truth(tuple(lines), tuple(circles), tuple(shown), tuple(bars), marks, hidden)
+    return Truth(tuple(lines), tuple(circles), tuple(shown), tuple(bars), marks, tuple(crossings), hidden)
 
 
 class _Sight:
