@@ -12,6 +12,8 @@ from fieldloc.vision.picture import UInt8Array
 
 _CHROMATIC = 40  # of 255, between the largest and the least part of a colour that has a hue
 
+_SAME_HUE = 0.87  # the cosine of 30 degrees
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
@@ -39,6 +41,14 @@ class View:
         if max(self.colour) > 127:
             return np.minimum(np.minimum(first, second), third)
         return np.asarray(255.0 - np.maximum(np.maximum(first, second), third))
+
+    def has_hue(self, colours: FloatArray) -> NDArray[np.bool_]:
+        """Whether colours (..., 3) have the hue; all of them where a post has none."""
+        direction = _hue_direction(self.colour)
+        if direction is None:
+            return np.ones(colours.shape[:-1], dtype=np.bool_)
+        away = colours - colours.mean(axis=-1, keepdims=True)
+        return np.asarray(away @ direction > _SAME_HUE * np.linalg.norm(away, axis=-1))
 
     def contains(self, u: FloatArray, v: FloatArray) -> NDArray[np.bool_]:
         height, width = self.picture.shape[:2]

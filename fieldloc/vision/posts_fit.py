@@ -1,138 +1,180 @@
-"""Where exactly a post's edges are: a straight line through the sub-pixel steps of all its rows.
+"""Where exactly posts' edges are: straight lines through what is found in blocks of their rows.
 
-In each row the step from what is beside the post to the post is told twice: where the colour changes fastest, and
-where it has changed by half. Noise scatters both about the line; light that falls off towards a round post's limb,
-overexposure and blur that is not symmetric set them apart. The covariance is made of both: the scatter, with its
-correlation from row to row, and the square of half the distance between the two.
+Numbers in a picture go with light to some power that is not known, between 1 and 1 / 2.2 in most cameras; it makes what
+is bright wider on both sides. So all is fitted twice, as if it were the one and the other: the edges are half way
+between, and the difference is as uncertain as the power, for both edges together. How light falls off towards the edges
+is known as roughly: a third fit, that knows nothing of it, says how much depends on it. The rest of the covariance is
+the scatter of the blocks about the lines.
 """
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from fieldloc.pose import FloatArray
 from fieldloc.vision.picture import UInt8Array
+from fieldloc.vision.posts_profile import Profiles, fit_profiles
 from fieldloc.vision.straight import Plane
 
-_MOST_ROWS = 240
-_REACH_PX = 5  # to either side of where the edge should be
-_NEAR_PX = 2.6  # from there to where it is, at most
-_LEAST_ROWS = 6
-_LEAST_STEP = 0.35  # of the rows' median step: rows with less are hidden, or in front of the like
-_OUTLIER = 3.0  # standard deviations
-_MARGIN = 0.04  # of the length at either end, where crossbar and foot begin
+_GAMMA = 2.2
+_BLOCKS = 8  # of rows along a post
+_LEAST_BLOCKS = 4  # in which both edges are found
+_MOST_ROWS = 6  # of a block
+_SAMPLES = 40  # across
+_MARGIN = 0.5  # of the width, beside either edge
+_MARGIN_PX = 3.5, 7.0
+_END = 0.04  # of the length at either end, where crossbar and foot begin
+_SHAPE = 0.5  # of what it matters that a round post is not of one light all over, as an error
+_TUNING = 2.5  # of Cauchy's weights, in standard deviations
+_LIGHT = (255.0 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FittedEdge:
-    """line: (2,) intercept and slope of x = a + b y in the plane of straight lines. across: (2,) the standard deviation
-    of a line's points is sqrt([1 y - centre] covariance [1 y - centre]'), across the line; covariance: (2, 2)."""
+class FittedEdges:
+    """lines: (2, 2) intercept and slope of x = a + b (y - centre) of the left and the right edge, in the plane of
+    straight lines. covariance: (4, 4) of these numbers."""
 
-    line: FloatArray
+    lines: FloatArray
     centre: float
     covariance: FloatArray
 
-    def x_at(self, y: FloatArray) -> FloatArray:
-        return np.asarray(self.line[0] + self.line[1] * y)
-
-    def covariance_at(self, y: FloatArray) -> FloatArray:
-        """(k, k) of x at rows y (k,)."""
-        design = np.stack([np.ones_like(y), y - self.centre], axis=1)
-        return np.asarray(design @ self.covariance @ design.T)
+    def x_at(self, side: int, y: FloatArray) -> FloatArray:
+        return np.asarray(self.lines[side, 0] + self.lines[side, 1] * (y - self.centre))
 
 
-def fit_edge(
-    picture: UInt8Array, line: FloatArray, rows: tuple[float, float], width_px: float, inwards: int, plane: Plane
-) -> FittedEdge | None:
-    """The edge near u = a + b v between two rows; None where too few rows show a step.
+@dataclass(frozen=True, slots=True, eq=False)
+class RoughPost:
+    """left, right: (2,) edges u = a + b v. rows: between which they are seen."""
 
-    width_px: of the post, so that its other edge stays out of sight. inwards: 1 where the post is to the right, or -1.
-    """
+    left: FloatArray
+    right: FloatArray
+    rows: tuple[float, float]
+
+    @property
+    def width_px(self) -> float:
+        return float((self.right - self.left) @ (1.0, 0.5 * (self.rows[0] + self.rows[1])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sampled:
+    """values: (3, blocks, samples) as numbers, as light, and as numbers again. at: (samples,) offsets where the post is
+    width_px wide, which are shares `scale` (blocks,) of those at the blocks. middle, place: (blocks,) u and v."""
+
+    values: FloatArray
+    at: FloatArray
+    width_px: float
+    scale: FloatArray
+    middle: FloatArray
+    place: FloatArray
+
+
+def fit_edges(picture: UInt8Array, posts: list[RoughPost], plane: Plane) -> list[FittedEdges | None]:
+    """The edges of each post; None where too little of it is seen."""
+    sampled = [_sample(picture, post) for post in posts]
+    whole = [one for one in sampled if one is not None]
+    if not whole:
+        return [None] * len(posts)
+    each = 3 * _BLOCKS
+    values = np.concatenate([one.values.reshape(each, _SAMPLES) for one in whole])
+    at = np.repeat(np.stack([one.at for one in whole]), each, axis=0)
+    width = np.repeat([one.width_px for one in whole], each)
+    flat = np.tile(np.repeat([False, False, True], _BLOCKS), len(whole))
+    fitted = iter(_lines(fit_profiles(values, at, width, flat), whole, plane))
+    return [None if one is None else next(fitted) for one in sampled]
+
+
+def _sample(picture: UInt8Array, post: RoughPost) -> _Sampled | None:
     height, columns = picture.shape[:2]
-    margin = _MARGIN * (rows[1] - rows[0])
-    first, last = max(0, int(np.ceil(rows[0] + margin))), min(height - 1, int(rows[1] - margin))
-    if last - first < _LEAST_ROWS:
+    margin = _END * (post.rows[1] - post.rows[0])
+    first, last = max(0.0, post.rows[0] + margin), min(height - 1.0, post.rows[1] - margin)
+    width = post.width_px
+    if last - first < _BLOCKS or width < 1.0:
         return None
-    v = np.unique(np.linspace(first, last, min(_MOST_ROWS, last - first + 1)).astype(np.intp))
-    guess = line[0] + line[1] * v
-    inside = int(np.clip(0.5 * width_px, 1, _REACH_PX))
-    offsets = inwards * np.arange(-_REACH_PX, inside + 1)
-    column = np.rint(guess).astype(np.intp)[:, None] + offsets
-    whole = (column >= 0).all(axis=1) & (column < columns).all(axis=1)
-    v, guess, column = v[whole], guess[whole], column[whole]
-    if len(v) < _LEAST_ROWS:
+    v = np.linspace(first, last, _BLOCKS * int(np.clip((last - first) / _BLOCKS, 1, _MOST_ROWS)))
+    middle = 0.5 * (post.left[0] + post.right[0] + (post.left[1] + post.right[1]) * v)
+    # by perspective posts get wider or narrower along them, by little
+    scale = (post.right[0] - post.left[0] + (post.right[1] - post.left[1]) * v) / width
+    beside = float(np.clip(_MARGIN * width, *_MARGIN_PX))
+    at = np.linspace(-0.5 * width - beside, 0.5 * width + beside, _SAMPLES)
+    u = middle[:, None] + scale[:, None] * at
+    if u.min() < 0 or u.max() > columns - 1:
         return None
-    colours = picture[v[:, None], column].astype(np.float64)
-    profile = colours @ _direction(colours)
-    fastest, half, step = _steps(profile, column[:, 0].astype(np.float64), guess, inwards)
-    seen = (step > _LEAST_STEP * np.nanmedian(step)) & np.isfinite(fastest) & np.isfinite(half)
-    if np.count_nonzero(seen) < _LEAST_ROWS:
-        return None
-    points = plane.from_picture(np.stack([0.5 * (fastest + half)[seen], v[seen]], axis=1))
-    return _line(points, (fastest - half)[seen])
+    numbers = _between_pixels(picture, u, v).reshape(_BLOCKS, -1, _SAMPLES, 2, 3).mean(axis=1)
+    values = [numbers[:, :, n] @ _direction(numbers[:, :, n], at, width) for n in (0, 1, 0)]
+    place, scale, middle = (one.reshape(_BLOCKS, -1).mean(axis=1) for one in (v, scale, middle))
+    return _Sampled(np.stack(values), at, width, scale, middle, place)
 
 
-def _direction(colours: FloatArray) -> FloatArray:
-    """(3,) the direction in colour from outside to inside, over all rows."""
-    difference = np.median(colours[:, -2:].mean(axis=1) - colours[:, :3].mean(axis=1), axis=0)
+def _between_pixels(picture: UInt8Array, u: FloatArray, v: FloatArray) -> FloatArray:
+    """(rows, samples, 2, 3): the picture's numbers and the light they stand for, at points between pixels."""
+    top, left = max(0, int(v.min()) - 1), max(0, int(u.min()) - 1)
+    part = picture[top : int(v.max()) + 3, left : int(u.max()) + 3]
+    columns = (u - left).astype(np.float32)
+    rows = np.broadcast_to((v - top).astype(np.float32)[:, None], u.shape)
+    both = part.astype(np.float32), _LIGHT[part]
+    return np.stack([cv2.remap(one, columns, rows, cv2.INTER_LINEAR) for one in both], axis=2).astype(np.float64)
+
+
+def _direction(numbers: FloatArray, at: FloatArray, width: float) -> FloatArray:
+    """(3,) of length 1: in which colour the post differs most from what is beside it."""
+    inside = numbers[:, np.abs(at) < 0.3 * width].mean(axis=(0, 1))
+    difference = inside - numbers[:, np.abs(at) > 0.5 * width + 1.5].mean(axis=(0, 1))
     return np.asarray(difference / max(float(np.linalg.norm(difference)), 1e-9))
 
 
-def _steps(
-    profile: FloatArray, start: FloatArray, guess: FloatArray, inwards: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """u (n,) of the fastest change and of half the change in each row, and the change; NaN where there is none."""
-    change = np.diff(profile, axis=1)
-    at = start[:, None] + inwards * (np.arange(change.shape[1]) + 0.5)
-    near = np.abs(at - guess[:, None]) <= _NEAR_PX
-    near[:, [0, -1]] = False
-    peak = np.where(near, change, -np.inf).argmax(axis=1)
-    rows = np.arange(len(profile))
-    high = change[rows, peak]
-    around = np.stack([change[rows, peak - 1], high, change[rows, np.minimum(peak + 1, change.shape[1] - 1)]])
-    low, high_log, up = np.log(np.maximum(around, 0.02 * np.maximum(high, 1e-9)))
-    bend = np.minimum(low - 2.0 * high_log + up, -1e-6)
-    fastest = at[rows, peak] + inwards * np.clip(0.5 * (low - up) / bend, -1.0, 1.0)
-    # what is beside the step is flat two pixels away from it
-    count = profile.shape[1] - 1
-    outside = 0.5 * (profile[rows, np.maximum(peak - 2, 0)] + profile[rows, np.maximum(peak - 1, 0)])
-    inside = 0.5 * (profile[rows, np.minimum(peak + 2, count)] + profile[rows, np.minimum(peak + 3, count)])
-    step = inside - outside
-    level = 0.5 * (inside + outside)
-    before, after = profile[rows, peak], profile[rows, peak + 1]
-    part = (level - before) / np.where(np.abs(after - before) > 1e-6, after - before, np.nan)
-    half = start + inwards * (peak + np.where((part >= -1.0) & (part <= 2.0), part, np.nan))
-    return np.where(high > 0.0, fastest, np.nan), half, np.where(high > 0.0, step, 0.0)
+def _lines(profiles: Profiles, posts: list[_Sampled], plane: Plane) -> list[FittedEdges | None]:
+    shape = len(posts), 3, _BLOCKS
+    edges = profiles.edges.reshape(*shape, 2)
+    place = np.stack([post.place for post in posts])[:, None, :, None]
+    middle = np.stack([post.middle for post in posts])[:, None, :, None]
+    scale = np.stack([post.scale for post in posts])[:, None, :, None]
+    u = middle + scale * edges
+    points = plane.from_picture(np.stack([u, np.broadcast_to(place, u.shape)], axis=-1))
+    points = points.transpose(0, 1, 3, 2, 4)  # post, way of fitting, side, block
+    good = profiles.good.reshape(shape)[:, :, None] & np.isfinite(points).all(axis=-1)
+    centre = np.nanmean(points[..., 1], axis=(1, 2, 3))
+    variance = profiles.variance.reshape(*shape, 2).transpose(0, 1, 3, 2)
+    weight = np.where(good, 1.0 / (np.where(good, variance, 1.0) + 1e-4), 0.0)
+    x, y = np.where(good, points[..., 0], 0.0), np.where(good, points[..., 1] - centre[:, None, None, None], 0.0)
+    solution, covariance = _robust(x, y, weight)
+    enough = np.count_nonzero(good, axis=-1).min(axis=-1) >= _LEAST_BLOCKS
+    out: list[FittedEdges | None] = []
+    for lines, errors, seen, middle_y in zip(solution, covariance, enough, centre, strict=True):
+        if not seen[:2].all():
+            out.append(None)
+            continue
+        total = np.zeros((4, 4))
+        for side, own in ((0, slice(0, 2)), (1, slice(2, 4))):
+            total[own, own] = 0.5 * (errors[0, side] + errors[1, side])
+        tone = (lines[1] - lines[0]).ravel()
+        total += np.outer(tone, tone) / 12.0  # anything between the two is as likely
+        if seen[2]:
+            form = (lines[2] - lines[0]).ravel()
+            total += _SHAPE**2 * np.outer(form, form)
+        out.append(FittedEdges(0.5 * (lines[0] + lines[1]), float(middle_y), total))
+    return out
 
 
-def _line(points: FloatArray, disagreement: FloatArray) -> FittedEdge | None:
-    points, disagreement = points[finite := np.isfinite(points).all(axis=1)], disagreement[finite]
-    if len(points) < _LEAST_ROWS:
-        return None
-    x, y = points.T
-    centre = float(y.mean())
-    design = np.stack([np.ones_like(y), y - centre], axis=1)
-    kept = np.ones(len(y), dtype=np.bool_)
-    weight = np.ones_like(y)
-    solution = np.zeros(2)
-    for _ in range(6):  # Cauchy's weights bring the line to most of the points
-        root = np.sqrt(weight)
-        solution = np.linalg.lstsq(design * root[:, None], x * root, rcond=None)[0]
-        residual = x - design @ solution
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
-        weight = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
-        kept = np.abs(residual) < _OUTLIER * scale
-    if np.count_nonzero(kept) < _LEAST_ROWS or np.count_nonzero(kept) < 0.4 * len(y):
-        return None
-    design, x = design[kept], x[kept]
-    solution = np.linalg.lstsq(design, x, rcond=None)[0]
-    residual = x - design @ solution
-    count = len(x)
-    variance = float(residual @ residual) / max(count - 2, 1)
-    neighbours = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-12)
-    inflation = (1.0 + neighbours) / (1.0 - neighbours) if 0.0 < neighbours < 0.95 else 1.0
-    scatter = variance * inflation * np.linalg.inv(design.T @ design)
-    common = np.linalg.lstsq(design, disagreement[kept], rcond=None)[0]
-    return FittedEdge(
-        np.array([solution[0] - solution[1] * centre, solution[1]]), centre, scatter + 0.25 * np.diag(common**2)
-    )
+def _robust(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(..., 2) of x = a + b y through points (..., n), and their covariances, from the scatter or what the weights say,
+    whichever is more."""
+    robust = np.ones_like(weight)
+    count = np.count_nonzero(weight, axis=-1)
+    middle = np.maximum(count - 1, 0)[..., None] // 2
+    for step in range(6):
+        both = weight * robust
+        mass, first, second = (np.sum(both * power, axis=-1) for power in (np.ones_like(y), y, y * y))
+        side, cross = np.sum(both * x, axis=-1), np.sum(both * x * y, axis=-1)
+        determinant = np.maximum(mass * second - first**2, 1e-12)
+        intercept, slope = (second * side - first * cross) / determinant, (mass * cross - first * side) / determinant
+        residual = x - intercept[..., None] - slope[..., None] * y
+        if step == 5:
+            break
+        scaled = np.where(weight > 0.0, np.abs(residual) * np.sqrt(weight), np.inf)
+        scale = np.maximum(1.4826 * np.take_along_axis(np.sort(scaled, axis=-1), middle, axis=-1), 1e-3)
+        robust = np.where(weight > 0.0, 1.0 / (1.0 + (np.minimum(scaled, 1e6) / (_TUNING * scale)) ** 2), 0.0)
+    spread = np.sum(both * residual**2, axis=-1) / np.maximum(robust.sum(axis=-1) - 2.0, 1.0)
+    inverse = np.stack([np.stack([second, -first], axis=-1), np.stack([-first, mass], axis=-1)], axis=-2)
+    covariance = inverse * (np.maximum(spread, 1.0) / determinant)[..., None, None]
+    return np.stack([intercept, slope], axis=-1), covariance

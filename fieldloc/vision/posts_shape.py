@@ -22,10 +22,12 @@ _SAMPLES = 72  # along a strip and what may be above and below it
 _REACH = 1.5, 9.0  # up and down from the strip, in its lengths and its widths
 _GAP = 0.15  # of a strip's length that may be hidden within it
 _SLIMMEST, _STOUTEST = 24.0, 4.2  # height by width, of tall goals and of low ones seen from above
-_STOUTEST_CUT = 2.5  # where the picture ends above
+_STOUTEST_CUT = 1.3  # where the picture ends above
+_CUT = 0.5  # of a crossbar is what is known of a post whose upper end is beside the picture
 _DARKEST = 0.4  # of its own light that a post keeps in shade
-_GREY = 0.5  # the least part of a white post's colour by its largest
+_GREY = 0.56  # the least part of a white post's colour by its largest
 _ON_TURF = 0.6  # of the points beneath and beside the foot
+_WIDEST_GOAL = 3.0  # by its height
 _UNLIKE = 1.6  # times slimmer or stouter than the clearest post of the picture
 _BESIDE_TOP = 0.5  # of the points beside the upper part may be turf
 
@@ -56,7 +58,11 @@ class Upright:
     @property
     def slimness(self) -> float:
         """Height by width."""
-        return (self.foot_v - self.top_v) / self.width_px
+        return self.height_px / self.width_px
+
+    @property
+    def height_px(self) -> float:
+        return self.foot_v - self.top_v
 
 
 def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour) -> list[Upright]:
@@ -69,6 +75,7 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
     stand = _standing(strips, foot_v, foot_v - side_tops.min(axis=1), turf, len(picture))
     # a post whose foot another thing hides is still seen down to where that begins, not to less
     good = (stand >= _ON_TURF) & (foot_v > strips.rows[:, 1] - 0.3 * (strips.rows[:, 1] - strips.rows[:, 0]))
+    good &= view.has_hue(own)
     if min(colour) > 127:
         good &= own.min(axis=1) > np.maximum(_GREY * own.max(axis=1), turf.colour.min() + 5.0)
     good &= _flanks(strips, side_tops.min(axis=1), foot_v, turf) < _BESIDE_TOP
@@ -83,7 +90,7 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
     cut = top_v <= 2.0
     good = (whole > np.where(cut, _STOUTEST_CUT, _STOUTEST) * strips.width_px) & (whole < _SLIMMEST * strips.width_px)
     seen = np.minimum(1.0, 2.0 * (strips.rows[:, 1] - strips.rows[:, 0]) / np.maximum(whole, 1.0))
-    score = bars.max(axis=1) + np.minimum(0.5, strips.contrast / np.maximum(level, 1.0))
+    score = np.where(cut, _CUT, bars.max(axis=1)) + np.minimum(0.5, strips.contrast / np.maximum(level, 1.0))
     score += 0.3 * (seen - 1.0) + 0.4 * (stand - 1.0)
     return [
         Upright(
@@ -117,6 +124,16 @@ def apart(uprights: list[Upright]) -> list[Upright]:
         if not any(_touch(one, other) for other in kept):
             kept.append(one)
     return kept
+
+
+def is_mate(one: Upright, other: Upright) -> bool:
+    """Whether one stands where the other's crossbar leads to, and looks like it."""
+    if other.bars.max() == 0.0 or not 1 / _UNLIKE < one.slimness / other.slimness < _UNLIKE:
+        return False
+    side = 1.0 if other.bars[1] > other.bars[0] else -1.0
+    apart_px = side * float(one.left @ (1.0, one.foot_v) - other.left @ (1.0, other.foot_v))
+    higher = abs(one.top_v - other.top_v)
+    return 0.0 < apart_px < _WIDEST_GOAL * max(one.height_px, other.height_px) and higher < 0.5 * apart_px
 
 
 def _touch(one: Upright, other: Upright) -> bool:

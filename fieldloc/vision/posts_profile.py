@@ -1,0 +1,99 @@
+"""The profile across a post: background, post and background again, blurred, fitted to rows of pixels.
+
+A round post is darker or lighter towards its sides than in its middle, and lit more from one side than from the other:
+inside it is taken for a parabola, so that where light fades towards the edges the edges are not lost. Where blur has
+the standard deviation s, what lies right of an edge l has at u the value
+
+    E[p(y); y > l] = p(u) F(z) + p'(u) s f(z) + p''(u) s^2 (F(z) - z f(z)) / 2,   y ~ N(u, s^2), z = (u - l) / s
+
+of a parabola p; F is the normal distribution and f its density.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from fieldloc.pose import FloatArray
+from fieldloc.vision.turf import Mask
+
+_ITERATIONS = 6
+_BLUR_PX = 0.4, 4.0  # standard deviations that a fit may come to
+_FARTHEST_PX = 3.0  # an edge, from where it was thought to be
+_DAMPING = 1e-3
+_UNKNOWNS = 8  # left, right, blur; both backgrounds; 1, x and x^2 inside
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profiles:
+    """edges: (k, 2) left and right in the profiles' unit. variance: (k, 2) of them, from the residuals. good: (k,)."""
+
+    edges: FloatArray
+    variance: FloatArray
+    good: Mask
+
+
+def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Mask) -> Profiles:
+    """Edges of profiles (k, s) sampled at offsets (k, s), which are about at -width / 2 and width / 2, (k,).
+
+    flat: (k,) where the inside is taken to be of one light all over, not a parabola.
+    """
+    half = 0.5 * width[:, None]
+    state = np.concatenate([-half, half, np.ones_like(half)], axis=1)
+    place = at / half
+    free = np.ones((len(values), _UNKNOWNS))
+    free[flat, 6:] = 0.0
+    linear = np.zeros((len(values), 5))
+    weight = np.ones_like(values)
+    for step in range(_ITERATIONS):
+        jacobian = _derivatives(at, place, half, state, linear) * free[:, None, :]
+        if step == 0:
+            basis = jacobian[..., 3:]
+            normal = basis.transpose(0, 2, 1) @ basis + 1e-6 * np.eye(5)
+            linear = np.linalg.solve(normal, basis.transpose(0, 2, 1) @ values[..., None])[..., 0] * free[:, 3:]
+            jacobian = _derivatives(at, place, half, state, linear) * free[:, None, :]
+        residual = values - (jacobian[..., 3:] @ linear[..., None])[..., 0]
+        if step > 1:  # what is no step and no parabola counts little
+            scale = 1.5 + 2.0 * np.median(np.abs(residual), axis=1, keepdims=True)
+            weight = 1.0 / (1.0 + (residual / scale) ** 2)
+        weighted = (jacobian * weight[..., None]).transpose(0, 2, 1)
+        system = weighted @ jacobian
+        diagonal = np.diagonal(system, axis1=1, axis2=2)
+        damped = system + np.eye(_UNKNOWNS) * (_DAMPING * diagonal + 1e-6)[..., None]
+        change = np.linalg.solve(damped, weighted @ residual[..., None])[..., 0] * free
+        state = state + np.clip(change[:, :3], -1.0, 1.0)
+        state[:, 2] = np.clip(state[:, 2], *_BLUR_PX)
+        linear = linear + change[:, 3:]
+    noise = (weight * residual**2).sum(axis=1) / np.maximum(weight.sum(axis=1) - _UNKNOWNS, 1.0)
+    inverse = np.linalg.inv(system + np.eye(_UNKNOWNS) * (1e-6 * diagonal + 1e-9)[..., None])
+    variance = np.diagonal(inverse, axis1=1, axis2=2)[:, :2] * noise[:, None]
+    near = (np.abs(state[:, :2] - np.concatenate([-half, half], axis=1)) < _FARTHEST_PX).all(axis=1)
+    good = near & np.isfinite(variance).all(axis=1) & (variance > 0.0).all(axis=1) & (state[:, 1] > state[:, 0])
+    return Profiles(state[:, :2], variance, good)
+
+
+def _derivatives(at: FloatArray, x: FloatArray, half: FloatArray, state: FloatArray, linear: FloatArray) -> FloatArray:
+    """(k, s, 8) of a profile's values by left, right and blur, by both backgrounds, and by 1, x and x^2 inside.
+
+    x: (k, s) `at` in half widths (k, 1), which stay as they are when edges move.
+    """
+    out = np.empty((*at.shape, _UNKNOWNS))
+    sigma = state[:, 2:3]
+    spread = sigma / half
+    out[..., 2] = 0.0
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        edge = state[:, side : side + 1]
+        z = (at - edge) / sigma
+        below = ndtr(z)
+        density = np.exp(-0.5 * z * z) * (1.0 / math.sqrt(2.0 * math.pi))
+        blurred = x * below + spread * density
+        square = x * (blurred + spread * density) + spread**2 * (below - z * density)
+        inside = linear[:, 2:3] + (linear[:, 3:4] + linear[:, 4:5] * edge / half) * edge / half
+        step = (inside - linear[:, side : side + 1]) * density / sigma
+        out[..., side] = -sign * step
+        out[..., 2] -= sign * step * z
+        out[..., 3 + side] = below if side else 1.0 - below
+        for n, part in enumerate((below, blurred, square)):
+            out[..., 5 + n] = part if side == 0 else out[..., 5 + n] - part
+    return out
