@@ -72,14 +72,15 @@ class Ambiguity:
     lost: float
 
 
-EventKind = Literal["start", "split", "merge", "decision", "recovery"]
+EventKind = Literal["start", "split", "merge", "decision", "recovery", "carried"]
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that befell the hypotheses; text: a sentence for people.
 
-    decision: one hypothesis, or one side, holds 99 %. recovery: the robot was found elsewhere.
+    decision: one hypothesis, or one side, holds 99 %. recovery: the robot was found elsewhere. carried: it was put
+    down elsewhere, known when looking back.
     """
 
     stamp_ns: int

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estimators.config import Calibration, Config, Sensor
 from estimators.motion import OdometryCalibration
 from estimators.sensor import SensorCalibration
-from estimators.solution import Solution, global_sigmas
+from estimators.solution import Solution, global_means, global_sigmas
 from fieldloc.pose import FloatArray
 
 TOLD_NOTHING = 0.9  # of the prior's sigma: more than this is left where a log says nothing of a quantity
@@ -74,10 +74,7 @@ def calibrated(solutions: Sequence[Solution], config: Config) -> RobotCalibratio
     """
     if not solutions:
         raise ValueError("no solution to calibrate from")
-    # the odometry is taken as it is known to be, so that its calibration in a solution is what is still wrong with it
-    known = np.concatenate([config.calibration.means(), np.zeros(len(SensorCalibration._fields))])
-    prior_mean = np.concatenate([np.zeros(_ODOMETRY), config.sensor.means()])
-    prior_sigma = global_sigmas(config)
+    prior_mean, prior_sigma = global_means(config), global_sigmas(config)
     free = prior_sigma > 0.0
     said = [_likelihood(solution, prior_mean, prior_sigma, free) for solution in solutions]
     information = np.diag(1.0 / prior_sigma[free] ** 2) + sum(one for one, _ in said)
@@ -100,7 +97,7 @@ def calibrated(solutions: Sequence[Solution], config: Config) -> RobotCalibratio
         gain = 0.0
         if free[k]:
             gain = 0.5 * (values[k] - prior_mean[k]) ** 2 * (1.0 / sigmas[k] ** 2 + 1.0 / prior_sigma[k] ** 2)
-        value, sigma = (known[k] + values[k], sigmas[k]) if told else (known[k] + prior_mean[k], prior_sigma[k])
+        value, sigma = (values[k], sigmas[k]) if told else (prior_mean[k], prior_sigma[k])
         section = "calibration" if k < _ODOMETRY else "sensor"
         quantities.append(Quantity(section, name, float(value), float(sigma), float(prior_sigma[k]), float(gain), told))
     return RobotCalibration(tuple(quantities), whole, disagreement)

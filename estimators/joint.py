@@ -8,12 +8,12 @@ import numpy as np
 from estimators.chain import Chain, Recorded
 from estimators.compass_knots import at_nodes, knot_s
 from estimators.config import Config
-from estimators.graph import solve
-from estimators.solution import MOTION_FLOOR, Solution
+from estimators.engines import solver
+from estimators.solution import MOTION_FLOOR, Solution, global_means, global_sigmas
 from estimators.stretches import Story
 from fieldloc import pose as se2
 from fieldloc.covariance import log_peaks
-from fieldloc.factors import Factor
+from fieldloc.factors import Factor, is_by_sight
 from fieldloc.mixture import IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
 from fieldloc.solution_mixture import GATES
@@ -56,13 +56,15 @@ class _Settling:
 
     def settled(self, story: Story, near: Solution | None) -> Settled:
         poses, compass = story.poses, self._compass if near is None else []
-        self._choose(compass, poses, np.broadcast_to(_ROUGHLY, (len(poses), 3, 3)), *self._offsets(None))
+        self._choose(compass, poses, poses, np.broadcast_to(_ROUGHLY, (len(poses), 3, 3)), *self._offsets(None))
         for first in (True, *(_ROUNDS - 1) * (False,)):
             chain = self._recorded.chain(self._choices, story.breaks, poses, self.chosen)
-            near = solve(chain, self._config, near)
+            near = solver(self._config)(chain, self._config, near)
             poses = near.poses
             out = Settled(self._choices.copy(), story.breaks, chain, near, self._margins.copy())
-            changed = self._choose(self._doubtful(near, first), poses, near.covariances, *self._offsets(near))
+            seen_from = chain.seen_from(near.poses, near.calibration, near.sensor)
+            doubtful = self._doubtful(near, seen_from, first)
+            changed = self._choose(doubtful, poses, seen_from, near.covariances, *self._offsets(near))
             if not changed or not self._recorded.anchored(self._choices, story.breaks):
                 break
         return out
@@ -77,7 +79,7 @@ class _Settling:
         known = (np.zeros(0),) * 2 if solution is None else (solution.compass_rad, solution.compass_variance_rad2)
         return at_nodes(self._recorded.stamps_ns, *known, self._config.compass)
 
-    def _doubtful(self, solution: Solution, first: bool) -> list[int]:
+    def _doubtful(self, solution: Solution, seen_from: FloatArray, first: bool) -> list[int]:
         """Mixtures to look at again: unsure ones if their poses have moved since, those that fit badly."""
         out = []
         moved = se2.local(self._looked_at, solution.poses)
@@ -86,7 +88,7 @@ class _Settling:
             choice = int(self._choices[index])
             unsure = self._margins[index] < _SURE or choice < 0 or mixture.by_compass
             if (unsure and (first or distance[node] > _MOVED)) or (
-                choice >= 0 and self._misfit(index, choice, solution.poses[node])
+                choice >= 0 and self._misfit(index, choice, (seen_from if mixture.by_sight else solution.poses)[node])
             ):
                 out.append(index)
         return out
@@ -99,15 +101,24 @@ class _Settling:
         return False
 
     def _choose(
-        self, which: list[int], poses: FloatArray, covariances: FloatArray, offsets: FloatArray, variances: FloatArray
+        self,
+        which: list[int],
+        poses: FloatArray,
+        seen_from: FloatArray,
+        covariances: FloatArray,
+        offsets: FloatArray,
+        variances: FloatArray,
     ) -> bool:
-        """The best solution of each of these mixtures, in the light of all others; whether one changed."""
+        """The best solution of each of these mixtures, in the light of all others; whether one changed.
+
+        Where the eyes were is taken to be known as well as where the robot is: their calibration is a whole log's.
+        """
         changed = False
         for index in which:
             node, mixture = self._recorded.mixtures[index]
             before = int(self._choices[index])
-            pose, covariance = poses[node], covariances[node]
-            self._looked_at[node] = pose
+            self._looked_at[node] = poses[node]
+            pose, covariance = (seen_from if mixture.by_sight else poses)[node], covariances[node]
             if mixture.by_compass:
                 pose = pose + [0.0, 0.0, offsets[node]]
                 covariance = covariance + np.diag([0.0, 0.0, variances[node]])
@@ -163,12 +174,16 @@ def log_evidence(recorded: Recorded, settled: Settled, config: Config, log_kidna
     """
     solution, poses = settled.solution, settled.solution.poses
     offsets, _ = at_nodes(recorded.stamps_ns, solution.compass_rad, solution.compass_variance_rad2, config.compass)
+    offset = offsets[:, None] * [0.0, 0.0, 1.0]
+    seen_from = settled.chain.seen_from(poses, solution.calibration, solution.sensor)
     total = sum(
-        _log_term(mixture, int(choice), poses[node] + [0.0, 0.0, offsets[node] * mixture.by_compass])
+        _log_term(
+            mixture, int(choice), (seen_from if mixture.by_sight else poses)[node] + offset[node] * mixture.by_compass
+        )
         for (node, mixture), choice in zip(recorded.mixtures, settled.choices, strict=True)
     )
     for node, factor in recorded.factors:
-        error = factor.error(poses[node])
+        error = factor.error((seen_from if is_by_sight(factor) else poses)[node])
         total -= 0.5 * float(error @ np.linalg.solve(factor.covariance, error))
     motions = settled.chain.motions
     if motions:
@@ -183,15 +198,16 @@ def log_evidence(recorded: Recorded, settled: Settled, config: Config, log_kidna
         error = se2.local(se2.retract(moved, by_calibration), se2.between(poses[:-1], poses[1:]))[kept]
         total -= 0.5 * float(np.sum(error * np.linalg.solve(covariances, error[..., None])[..., 0]))
         total += float(np.sum(log_peaks(covariances)))
-    sigmas = config.calibration.sigmas()
+    sigmas = global_sigmas(config)
     free = sigmas > 0.0
-    total += _log_normal(np.array(solution.calibration)[free], sigmas[free])
-    offset = solution.compass_rad
-    if len(offset):
+    common = np.array([*solution.calibration, *solution.sensor]) - global_means(config)
+    total += _log_normal(common[free], sigmas[free])
+    knots = solution.compass_rad
+    if len(knots):
         keep, variance = config.compass.wander(knot_s(config.compass))
-        total += _log_normal(offset[:1], np.array([config.compass.offset_sigma_rad]))
-        total += _log_normal(offset[1:] - keep * offset[:-1], np.full(len(offset) - 1, variance**0.5))
-    dimensions = 3 * len(poses) + int(free.sum()) + len(offset)
+        total += _log_normal(knots[:1], np.array([config.compass.offset_sigma_rad]))
+        total += _log_normal(knots[1:] - keep * knots[:-1], np.full(len(knots) - 1, variance**0.5))
+    dimensions = 3 * len(poses) + int(free.sum()) + len(knots)
     return total + 0.5 * dimensions * float(np.log(2 * np.pi)) - 0.5 * solution.log_determinant
 
 

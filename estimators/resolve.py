@@ -15,6 +15,7 @@ from estimators.chain import Recorded
 from estimators.config import Config
 from estimators.copies import Moved
 from estimators.joint import Settled, log_evidence, settle
+from estimators.lateness import against_odometry, may_be_late, settled_in_time
 from estimators.mixture.lost import Lost
 from estimators.modes import ModeSequence
 from estimators.motion import STANDSTILL
@@ -60,6 +61,8 @@ def resolve(
     copies = np.concatenate([np.zeros((1, 3)), region.symmetries])
     copies = copies[np.argsort(np.arange(len(copies)) != first, kind="stable")]
     anywhere = Lost.within(region, 0.0).anywhere
+    told_config, late = config, may_be_late(recorded, config)
+    config = against_odometry(config) if late else config
     tracks, begun = _followed(recorded, places, copies, config)
     tracks, begun = _with_surest(recorded, tracks, begun, copies, anywhere.log_volume, config)
     copy_of = np.array([seed.copy for seed in begun])
@@ -104,6 +107,8 @@ def resolve(
     else:
         answer = settle(log, story, config)
         settled, evidence = [answer], [0.0]
+    if late:
+        answer = settled_in_time(log, story, answer, told_config)
     stamps_ns = recorded.stamps_ns
     order, log_evidences = _ranked(settled, np.array(evidence), best)
     return Resolution(

@@ -9,7 +9,7 @@ from estimators.base import Ambiguity, Estimate, Event, Hypothesis, Innovation
 from estimators.chain import ChainRecorder, Recorded
 from estimators.config import Config
 from estimators.ekf import Ekf
-from estimators.graph import solve
+from estimators.engines import solver
 from estimators.mixture.filter import MixtureFilter
 from estimators.mixture.lost import UNKNOWN
 from estimators.modes import ModeSequence
@@ -42,9 +42,10 @@ class Smoother:
         self._region = UNKNOWN
         self._told: Estimate | None = None
         self._odometry: Odometry | None = None
-        self._motion = HeldVelocity(config.motion)
+        self._motion = HeldVelocity(config.motion, config.calibration.odometry_delay_s)
         self._recorder = ChainRecorder(config.graph.node_interval_s)
         self._ambiguity: Ambiguity | None = None
+        self._stamps_ns: tuple[int, ...] = ()
         self.solution: Solution | None = None
         """Of the last call of `trajectory`."""
         self.resolution: Resolution | None = None
@@ -99,7 +100,17 @@ class Smoother:
 
     @property
     def events(self) -> Sequence[Event]:
+        """Those of the whole past once `trajectory` has looked at it, until something new comes."""
+        if self._ambiguity is not None and self.resolution is not None:
+            return self.resolution.events
         return () if self._bank is None else self._bank.events
+
+    def ambiguities(self) -> tuple[Ambiguity, ...]:
+        """Of the whole past in the light of everything seen, once `trajectory` has looked at it; none before, or where
+        there were no mixtures."""
+        if self._ambiguity is None or self.resolution is None:
+            return ()
+        return self.resolution.ambiguities(self._stamps_ns)
 
     def trajectory(self) -> tuple[Estimate, ...]:
         """An estimate per node of the chain; none while no start has been found."""
@@ -115,11 +126,12 @@ class Smoother:
             chain = self._recorder.chain(self._ahead.carried_ns)
             if chain is None:
                 return ()
-            self.solution = solve(chain, self._config)
+            self.solution = solver(self._config)(chain, self._config, None)
         covariances = se2.rotate_covariance(self.solution.covariances, self.solution.poses[:, 2])
         out = tuple(map(Estimate, recorded.stamps_ns, self.solution.poses, covariances))
         if self.resolution is not None:
             self._ambiguity = self.resolution.ambiguity(out[-1].stamp_ns)
+            self._stamps_ns = recorded.stamps_ns
         return out
 
     @property

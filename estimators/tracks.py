@@ -1,7 +1,7 @@
 """Robots followed through a whole log, forwards and backwards, each from one place where it may have been.
 
 A track is one extended Kalman filter that takes of each mixture the solution that fits it best, or none. All tracks
-move and see at once (stacked arrays). Its states are pose, compass offset and the odometry's calibration.
+move and see at once (stacked arrays). Its states are pose, compass offset, the odometry's calibration and the sensor's.
 
 Poses are those of symmetric mixtures. What tells sides apart is asked at the track's copy under the map's symmetries:
 steps and covariances, being in the robot frame, are the same for both.
@@ -11,9 +11,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from estimators.chain import Recorded
+from estimators.chain import Recorded, levers
 from estimators.config import Config
 from estimators.motion import Increment
+from estimators.solution import global_means, global_sigmas
 from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
@@ -21,7 +22,8 @@ from fieldloc.pose import FloatArray
 NO_HINT = -2
 _OFFSET = 3
 _CALIBRATION = slice(4, 10)
-_STATES = 10
+_SENSOR = slice(10, 12)
+_STATES = 12
 _LEARNT_FROM = 60  # sights after a seed
 _ROUGHLY = np.diag([0.3, 0.3, 0.15]) ** 2
 _HINT_WORTH = 10.0  # a hint is followed while it is at most so much (log) less likely than the best
@@ -110,9 +112,11 @@ class _Sweep:
         self.poses = np.zeros((tracks, nodes, 3))
         self.covariances = np.tile(np.eye(3), (tracks, mixtures, 1, 1))
         self._pose = np.zeros((tracks, 3))
-        self._rest = np.zeros((tracks, _STATES - 3))  # offset and calibration
+        # offset, calibration, sensor
+        self._rest = np.tile(np.concatenate([np.zeros(1), global_means(config)]), (tracks, 1))
+        self._levers = levers(recorded.stamps_ns, recorded.motions)
         self._alive = np.zeros(tracks, dtype=bool)
-        prior = np.concatenate([np.ones(3), [config.compass.offset_sigma_rad], config.calibration.sigmas()]) ** 2
+        prior = np.concatenate([np.ones(3), [config.compass.offset_sigma_rad], global_sigmas(config)]) ** 2
         self.covariance = np.tile(np.diag(prior), (tracks, 1, 1))
 
     def begin_again(self) -> None:
@@ -152,7 +156,7 @@ class _Sweep:
             at = self._at_node.get(node, [])
             for index in at if forwards else reversed(at):
                 fresh = [t for t in begin if (index <= self._from[t] if forwards else index > self._from[t])]
-                self._see(index, np.setdiff1d(np.flatnonzero(self._alive), fresh))
+                self._see(index, node, np.setdiff1d(np.flatnonzero(self._alive), fresh))
             new = self._alive if forwards else self._alive & (node < self._seed_nodes)
             self.poses[new, node] = self._pose[new]
 
@@ -169,7 +173,7 @@ class _Sweep:
         self.choices[track, seed.at] = seed.choice
 
     def _move(self, motion: Increment, elapsed_s: float, forwards: bool) -> None:
-        moved = se2.retract(motion.before_from_after, self._rest[:, 1:] @ motion.by_calibration.T)
+        moved = se2.retract(motion.before_from_after, self._rest[:, 1:7] @ motion.by_calibration.T)
         carry = np.tile(np.eye(_STATES), (len(moved), 1, 1))
         back = se2.inverse(moved)
         if forwards:
@@ -190,19 +194,24 @@ class _Sweep:
         self.covariance[:, :3, :3] += noise
         self.covariance[:, _OFFSET, _OFFSET] += gained
 
-    def _see(self, index: int, tracks: IntArray) -> None:
+    def _see(self, index: int, node: int, tracks: IntArray) -> None:
         if not len(tracks):
             return
         mixture: MixtureFactor = self._recorded.mixtures[index][1]
-        to_seen = np.eye(3, _STATES)
+        to_seen = np.tile(np.eye(3, _STATES), (len(tracks), 1, 1))
         poses = self._pose[tracks]
         if not mixture.symmetric:
             poses = se2.compose(self._copies[tracks], poses)
         if mixture.by_compass:
-            to_seen[2, _OFFSET] = 1.0
+            to_seen[:, 2, _OFFSET] = 1.0
             poses[:, 2] = se2.wrap(poses[:, 2] + self._rest[tracks, 0])
+        if mixture.by_sight:
+            turned = self._rest[tracks, 7:] @ self._levers[node].T
+            poses = se2.retract(poses, turned)
+            to_seen[:, :, :3] = se2.adjoint(se2.inverse(se2.exp(turned)))
+            to_seen[:, :, _SENSOR] = self._levers[node]
         whole = self.covariance[tracks]
-        across = whole @ to_seen.T
+        across = whole @ np.swapaxes(to_seen, -1, -2)
         seen = to_seen @ across
         near = mixture.expand(poses, seen)
         rows, margins, log_evidence = picked(near, len(tracks), mixture.log_outlier, self._hints[tracks, index])
@@ -216,7 +225,7 @@ class _Sweep:
         self.covariances[tracks[new], index] = self.covariance[tracks[new], :3, :3]
 
     def _update(self, tracks: IntArray, near: Expansion, rows: IntArray, across: FloatArray, seen: FloatArray) -> None:
-        """rows: of the solutions that the tracks take. across: (h, 10, 3) covariance of states and what is seen."""
+        """rows: of the solutions that the tracks take. across: (h, 12, 3) covariance of states and what is seen."""
         whole = self.covariance[tracks]
         gain = np.swapaxes(np.linalg.solve(seen, np.swapaxes(across, -1, -2)), -1, -2)
         step = (gain @ near.step[rows][:, :, None])[..., 0]

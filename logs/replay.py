@@ -21,6 +21,7 @@ from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
 from fieldloc.regions import Region, anywhere, region
 from fieldloc.resolution import Belief, sure
+from fieldloc.scan_noises import LearnedNoise
 from logs.kept import KeptAmbiguities
 from logs.pictures import has_pictures, picture_features
 from logs.progress import Progress, unwatched
@@ -61,7 +62,8 @@ class Recording:
 class Replay:
     """Estimates by stamp; seconds that each measurement other than odometry took (k,); what could not be used.
 
-    ambiguities, events: what an estimator said of its hypotheses while it ran (`KeptAmbiguities`), if it has any.
+    ambiguities, events: what an estimator said of its hypotheses while it ran (`KeptAmbiguities`), if it has any; one
+    that looks back, in the end.
     """
 
     estimates: tuple[Estimate, ...]
@@ -150,7 +152,7 @@ class Run:
         self._told = start if isinstance(start, np.ndarray) else None
         self._region = _region(start, recording.field)
         self._builder = MixtureBuilder(
-            recording.field, recording.camera, config.correlation, config.detection, config.mount
+            recording.field, recording.camera, config.correlation, config.detection, config.mount, config.scan_noise
         )
         self._unusable: list[str] = []
 
@@ -214,6 +216,11 @@ class Run:
         return estimates
 
     @property
+    def scan_noises(self) -> tuple[LearnedNoise, ...]:
+        """How noisy the scans of each sensor have turned out to be."""
+        return self._builder.scan_noises()
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What could not be used so far."""
         warnings = [*self._builder.warnings()]
@@ -262,6 +269,10 @@ def replay(
     if estimates and isinstance(estimator, Smoother):
         progress(0, 0, "solving")
         estimates = list(run.trajectory() or ())
+        if past := estimator.ambiguities():
+            kept = KeptAmbiguities()
+            for now in past:
+                kept.take(now)
     if not estimates:
         raise FieldlocError(f"{recording.name}: {_never_started(recording)}")
     events = () if ambiguous is None else tuple(sorted(ambiguous.events, key=lambda event: event.stamp_ns))

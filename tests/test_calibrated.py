@@ -11,7 +11,7 @@ from estimators.config import Calibration, Config, Sensor
 from estimators.config_file import load_config
 from estimators.motion import OdometryCalibration
 from estimators.sensor import SensorCalibration
-from estimators.solution import Solution, global_sigmas
+from estimators.solution import Solution, global_means, global_sigmas
 from fieldloc.pose import FloatArray
 from logs.calibrating import CalibratedRobot, calibration_table, write_settings
 
@@ -95,12 +95,16 @@ def test_what_is_taken_as_known_is_not_touched() -> None:
     assert found["bearing_offset_rad"] == (0.02, 0.0, False)
 
 
-def test_what_was_known_of_the_odometry_is_added_to_what_is_still_wrong_with_it() -> None:
+def test_a_log_is_solved_about_what_was_known_of_the_odometry() -> None:
     config = replace(CONFIG, calibration=Calibration(scale=0.1))
     covariance = np.diag((0.1 * global_sigmas(config)) ** 2)
-    values = np.zeros(SIZE)
-    values[0] = -0.03
+    values = global_means(config)
+    assert values[0] == 0.1
+    values[0] = 0.07
+    twice = by_name(calibrated(2 * [solution(values, covariance)], config))["scale"][0]
+    # each log says 0.0697, the prior of 0.1 is a hundredth of what one says, and counts once
     assert by_name(calibrated([solution(values, covariance)], config))["scale"][0] == pytest.approx(0.07)
+    assert twice == pytest.approx((2 * 99 * (0.07 - 0.001) / 0.99 + 0.1) / 199, abs=1e-4)
 
 
 def test_nothing_says_nothing() -> None:

@@ -44,7 +44,7 @@ def test_without_a_start_there_is_no_trajectory() -> None:
 
 def test_without_turns_the_last_pose_is_the_filters() -> None:
     # linear: nothing that comes later changes the last pose, so filter and smoother agree
-    motion = MotionNoise(0.05, 0.03, 0.0, 0.0, 0.01, 1e-3)
+    motion = MotionNoise(0.05, 0.03, 0.0, 0.0, 0.01, 1e-3, log_scale_sigma=0.0)
     config = replace(PLAIN, motion=motion, robust=Robust(nis_per_dof=1e9), graph=GAUSSIAN)
     smoother, ekf = Smoother(config), Ekf(config)
     random = np.random.default_rng(0)

@@ -49,13 +49,13 @@ class _Problem:
         self._compass = CompassOffsets(chain, config.compass, self._count + 1)
 
     def solve(self) -> Solution:
-        common, offsets = np.zeros(GLOBALS), np.zeros(self._compass.count)
+        common, offsets = self._linearised.means.copy(), np.zeros(self._compass.count)
         free = self._linearised.free
         if self._near is None:
             poses = self._searched()
         else:
             poses = self._chain.guess
-            common[:CALIBRATION], common[CALIBRATION:] = self._near.calibration, self._near.sensor
+            common = np.where(free, [*self._near.calibration, *self._near.sensor], common)
             offsets[:] = self._near.compass_rad if len(offsets) == len(self._near.compass_rad) else 0.0
         error = self._error(poses, common, offsets)
         for _ in range(_MAX_STEPS):
@@ -121,7 +121,11 @@ class _Problem:
         if free:
             weights = 1.0 / self._linearised.sigmas[which]
             unit = gtsam.noiseModel.Unit.Create(len(weights))
-            out.add(gtsam.JacobianFactor(self._count, np.diag(weights), -common[which] * weights, unit))
+            out.add(
+                gtsam.JacobianFactor(
+                    self._count, np.diag(weights), (self._linearised.means - common)[which] * weights, unit
+                )
+            )
         self._compass.add_to(out, poses, offsets, self._cauchy)
         return out
 

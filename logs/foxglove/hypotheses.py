@@ -13,7 +13,7 @@ from logs.foxglove.topics import Frames
 from logs.source import Encoded
 
 _OWN = Frames()
-_NOTED = ("decision", "recovery")  # of the others there may be many
+_NOTED = ("decision", "recovery", "carried")  # of the others there may be many
 _LEAST_WEIGHT = 0.01  # of what is shown: fainter arrows are not seen
 
 

@@ -39,6 +39,7 @@ _MARKS: Mapping[EventKind, _Mark] = MappingProxyType(
         "merge": _Mark("|", "#B0B6BD", 0.5, False, 5.0),
         "decision": _Mark("D", "#009E73", 0.75, True, 4.5),
         "recovery": _Mark("*", "#D55E00", 0.75, True, 8.0),
+        "carried": _Mark("*", "#D55E00", 0.75, True, 8.0),
     }
 )
 

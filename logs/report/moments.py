@@ -5,7 +5,7 @@ from html import escape
 from logs.results import RunResult
 from logs.trajectory import Trajectory
 
-_MATTER = ("start", "decision", "recovery")
+_MATTER = ("start", "decision", "recovery", "carried")
 _MOST = 200
 
 

@@ -13,7 +13,7 @@ NO_COLOUR = 255
 """Of those that are never likely."""
 
 _MOST_EVENTS = 1000  # of those that matter, and of the others
-_MATTER = ("start", "decision", "recovery")
+_MATTER = ("start", "decision", "recovery", "carried")
 
 
 def hypotheses(run: RunResult, origin_ns: int, most: int) -> Json:
