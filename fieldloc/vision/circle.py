@@ -27,8 +27,8 @@ _BINS = 48  # of the ellipse's angle
 _LEAST_SEEN = 0.25  # share of the visible bins that are explained
 _LEAST_BINS = 7
 _WINDOW = 8  # points at least of a part of a chain whose bend is compared with the ellipse's
-_BENT = 0.5  # share of the bend that the ellipse tells which is found, and
-_SIGMAS = 3.0  # how many times its noise that is at least
+_SIGMAS, _LEAST_BEND_PX = 3.0, 0.3  # a bend is more than so many times its noise, and than this
+_BENT = 0.5  # share of the points that have to be bent as the ellipse is, of those where it wants a bend
 _THINNEST = 2.0  # the shorter semi-axis to how near is on the ellipse: a thinner one might be a straight line
 _LARGEST_PX = 1e4  # semi-axis
 _BESIDE = 0.1  # share of the ellipse in the picture that may be above the field's border
@@ -169,11 +169,13 @@ def _windows(chains: list[FloatArray]) -> _Windows:
     bow /= np.sqrt(np.maximum(np.add.reduceat(bow * bow, begins), 1e-9)).repeat(size)
     points = table[:, :2]
     bend = np.add.reduceat(bow[:, None] * points, begins)
-    # Noise from the points' second differences, of which those across a window's border do not count.
+    # Noise from the points' second differences, of which those across a window's border do not count. Along the chain
+    # they are even, or they jump over a gap: what is across is the lesser of both directions.
     rough = np.zeros_like(points)
     rough[1:-1] = points[2:] - 2.0 * points[1:-1] + points[:-2]
     rough[begins] = rough[begins + size - 1] = 0.0
-    sigma = np.sqrt(np.add.reduceat((rough * rough).sum(axis=1), begins) / (6.0 * np.maximum(size - 2, 1)))
+    square = np.add.reduceat(rough * rough, begins).min(axis=1)
+    sigma = np.sqrt(square / (6.0 * np.maximum(size - 2, 1)))
     return _Windows(points, _NEAR_PX + _NEAR_SHARE * table[:, 2], begins, size, bow, bend, sigma)
 
 
@@ -187,10 +189,10 @@ def _explained(ellipse: Ellipse, windows: _Windows) -> int:
     middle = windows.begins + windows.sizes // 2
     bend = (windows.bend * ellipse.normals(windows.points[middle])).sum(axis=1)
     wanted = bend - np.add.reduceat(windows.bow * off, windows.begins)
-    # No window counts for more than it should be bent: a corner is bent much, and only in one place.
-    found = np.clip(bend * np.sign(wanted), -np.abs(wanted), np.abs(wanted))[on].sum()
-    noise = np.sqrt((windows.sigma_px[on] ** 2).sum())
-    if found < max(_BENT * np.abs(wanted[on]).sum(), _SIGMAS * noise):
+    # Every window has a say where the ellipse wants a bend that cannot be noise: a corner is bent much, in one place.
+    asked = on & (np.abs(wanted) > np.maximum(_SIGMAS * windows.sigma_px, _LEAST_BEND_PX))
+    found = np.clip(bend[asked] / wanted[asked], 0.0, 1.0) @ windows.sizes[asked]
+    if not asked.any() or found < _BENT * windows.sizes[asked].sum():
         return 0
     return int(windows.sizes[on].sum())
 

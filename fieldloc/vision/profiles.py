@@ -50,12 +50,12 @@ def measure(grey: UInt8Array, centres: FloatArray, normals: FloatArray, width_px
     white = ((values * core).sum(axis=1) / core.sum(axis=1))[:, None]
     edges, turf = [], []
     middle, row = _SAMPLES // 2, np.arange(len(values))
-    away = x[:, middle:]
+    beyond = x[:, middle:] > half + 1.0
     for sign in (-1, 1):
         outward = values[:, middle::sign]
         # The turf's level is the lowest until it gets brighter again: another line may be near.
-        lowest = np.minimum.accumulate(np.where(away > half + 1.0, outward, np.float32(255.0)), axis=1)
-        brighter = outward > lowest + _BRIGHTER * (white - lowest)
+        lowest = np.minimum.accumulate(np.where(beyond, outward, np.float32(255.0)), axis=1)
+        brighter = beyond & (outward > lowest + _BRIGHTER * (white - lowest))
         brighter[:, -1] = True
         level = lowest[row, brighter.argmax(axis=1)]
         bar = 0.5 * (white[:, 0] + level)

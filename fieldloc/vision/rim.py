@@ -15,6 +15,8 @@ _FEWEST, _MOST = 24, 128  # points all around
 _BINS = 48
 _OUTLIER = 3.5  # robust standard deviations from the ellipse
 _FLOOR_PX = 0.03  # of a point: what interpolation between pixels errs by
+_LEAST_SHARE = 0.7  # of the points where there are runs have to be on the ellipse
+_LEAST_ACROSS_PX = 1.5  # standard deviation of the points to either side of a straight line
 _AROUND = 9  # neighbours that tell a point's standard deviation
 
 
@@ -47,12 +49,13 @@ def trace(
             off = ellipse.distance(np.where(np.isfinite(middles), middles, 1e9))
             spread = 1.4826 * float(np.median(np.abs(off[good])))
             good &= np.abs(off) < _OUTLIER * max(spread, 0.05)
-        if np.count_nonzero(good) < _FEWEST // 2:
+        if np.count_nonzero(good) < max(_FEWEST // 2, _LEAST_SHARE * len(good)):
             return None
     # Measured to a fraction of a pixel, two straight lines that run along an ellipse are straight.
     table = np.column_stack([middles, np.zeros(len(middles))])[good]
     gaps = np.flatnonzero(np.diff(np.flatnonzero(good)) > 2) + 1
-    if not is_round(ellipse, [part for part in np.split(table, gaps) if len(part) > 2]):
+    aside = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(table[:, :2].T))[0], 0.0)))
+    if aside < _LEAST_ACROSS_PX or not is_round(ellipse, [part for part in np.split(table, gaps) if len(part) > 2]):
         return None
     sigma = np.sqrt(_local(off[good] ** 2) + _FLOOR_PX**2) * zoom[good]
     centre, axes = ellipse.axes()
