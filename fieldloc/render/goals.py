@@ -18,9 +18,10 @@ def diameter_m(mark: Landmark) -> float:
     return mark.diameter_m or _USUAL_DIAMETER_M
 
 
-def post_colour(field_map: FieldMap) -> Colour:
-    red, green, blue = field_map.colours.posts[0]
-    return _BRIGHTEST * blue, _BRIGHTEST * green, _BRIGHTEST * red
+def post_colour(field_map: FieldMap, row: int = 0, light: float = _BRIGHTEST) -> Colour:
+    """One of those that the map names, as it looks in so much of the brightest light."""
+    red, green, blue = field_map.colours.posts[row]
+    return light * blue, light * green, light * red
 
 
 def post_of(field_map: FieldMap, index: int, goals: Goals) -> Post:

@@ -9,6 +9,7 @@ from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
 from fieldloc.measurements import CameraMount
 from fieldloc.pose import FloatArray
+from fieldloc.render.goals import post_colour
 from fieldloc.render.scene import Ball, Colour, Glare, Goals, Panel, Person, Robot, Scene, Sensor, Turf
 
 USUAL_CAMERA = Camera("pinhole", 640, 480, 550.0, 550.0, 319.5, 239.5)
@@ -69,6 +70,7 @@ def random_scene(field: FieldMap, random: np.random.Generator, keep_clear: Float
     return Scene(
         turf=_turf(random, low, high, border_m),
         goals=Goals(
+            colour=post_colour(field, int(random.integers(len(field.colours.posts))), random.uniform(0.7, 0.95)),
             net=bool(random.random() < 0.5),
             shading=random.uniform(0.0, 0.4),
             shadow_m=(float(random.normal(0.0, 0.7)), float(random.normal(0.0, 0.7))),
