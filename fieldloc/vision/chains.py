@@ -1,5 +1,7 @@
 """White runs that follow each other from one scan line to the next: the pieces that lines and circles are made of."""
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,19 +57,18 @@ def chains_of(runs: Runs, down: bool, fewest: int) -> list[FloatArray]:
         return []
     roots = link(runs)
     order = np.lexsort((runs.scan, roots))
-    borders = np.flatnonzero(np.diff(roots[order])) + 1
+    borders = [0, *(np.flatnonzero(np.diff(roots[order])) + 1).tolist(), len(order)]
     along, at_px = runs.middle_px, runs.at_px
     uv = np.stack([at_px, along] if down else [along, at_px], axis=1)
     table = np.column_stack([uv, runs.last_px - runs.first_px])
-    return [table[part] for part in np.split(order, borders) if len(part) >= fewest]
+    table = table[order]
+    return [table[begin:end] for begin, end in pairwise(borders) if end - begin >= fewest]
 
 
 def parts(chains: list[FloatArray], masks: list[Mask], wanted: bool) -> list[FloatArray]:
     """The parts of chains where their masks are as wanted."""
     out = []
     for chain, mask in zip(chains, masks, strict=True):
-        borders = np.flatnonzero(np.diff(mask)) + 1
-        for part, own in zip(np.split(chain, borders), np.split(mask, borders), strict=True):
-            if own[0] == wanted:
-                out.append(part)
+        borders = [0, *(np.flatnonzero(mask[1:] != mask[:-1]) + 1).tolist(), len(mask)]
+        out += [chain[begin:end] for begin, end in pairwise(borders) if mask[begin] == wanted]
     return out

@@ -19,7 +19,7 @@ View = Callable[
     [FloatArray], tuple[Mask, Mask]
 ]  # which points (n, 2) are in the picture, which are below the field's border
 
-_ARCS = 4  # the longest bent chains that are tried, alone and in pairs
+_ARCS = 3  # the longest bent chains that are tried, alone and in pairs
 _LEAST_SAGITTA_PX = 1.5  # of a bent chain
 _NEAR_PX = 1.5  # from the ellipse is on it, beside the next share of the line's width
 _NEAR_SHARE = 0.15
@@ -140,10 +140,13 @@ def find_ellipse(chains: list[FloatArray], view: View) -> tuple[Ellipse, list[Ma
             refined = fit_ellipse(points[on], ellipse.weights(points[on]))
             if refined is None:
                 break
+            before = on
             ellipse, on = refined, np.abs(refined.distance(points)) < near
             count = _explained(ellipse, windows)
             if count > most and _is_seen(ellipse, points[on], near[on], view):
                 best, most = ellipse, count
+            if (on == before).all():
+                break
         done |= on
     if best is None:
         return None
@@ -201,9 +204,10 @@ def _is_bent(chain: FloatArray) -> bool:
     """Whether a parabola over the chord explains what a straight line does not."""
     if len(chain) < 8:
         return False
-    chord = chain[-1, :2] - chain[0, :2]
+    first, middle, last = chain[[0, len(chain) // 2, -1], :2]
+    chord = last - first
     length = float(np.hypot(chord[0], chord[1]))
-    if length < 1.0:
+    if length < 1.0 or abs(_cross(chord, middle - first)) < 0.5 * _LEAST_SAGITTA_PX * length:
         return False
     along = chord / length
     relative = chain[:, :2] - chain[0, :2]
@@ -213,6 +217,10 @@ def _is_bent(chain: FloatArray) -> bool:
     sizes = np.linalg.solve(basis @ basis.T + 1e-9 * np.eye(3), basis @ off)
     rest = float(np.sqrt(np.mean((off - sizes @ basis) ** 2)))
     return bool(abs(sizes[2]) > max(_LEAST_SAGITTA_PX, 3.0 * rest))
+
+
+def _cross(one: FloatArray, other: FloatArray) -> float:
+    return float(one[0] * other[1] - one[1] * other[0])
 
 
 def _is_seen(ellipse: Ellipse, on: FloatArray, near: FloatArray, view: View) -> bool:

@@ -18,6 +18,7 @@ _FEWEST, _MOST = 12, 120  # profiles of a line
 _EXTRA_PX = 6.0  # beyond the ends that the runs tell
 _LEAST_USED = 8  # profiles with both edges on the line
 _LEAST_SHARE = 0.55  # of the profiles between a line's ends that are not on something else than turf
+_LEAST_SMOOTH, _SMOOTH_PX = 0.3, 0.3  # of a line whose middles are hardly rough: what is so straight is worn or pale
 _LEAST_SEEN = 0.25  # of all between
 _OUTLIER = 3.5  # robust standard deviations from the line
 _FLOOR_PX = 0.02  # of a middle: interpolation between pixels errs by about this much, however long the line
@@ -162,7 +163,8 @@ def _are_lines(found: Middles, least_length_px: float) -> Mask:
     straight = (sagitta <= _BENT * length) | (sagitta <= 5.0 * noise)
     smooth = rough <= np.maximum(_ROUGHEST_PX, _ROUGHEST_SHARE * width)
     long = length >= np.maximum(least_length_px, 1.5 * width)
-    whole = (count >= _LEAST_SHARE * (count + bare)) & (count >= _LEAST_SEEN * between.sum(axis=1))
+    share = np.where(rough < _SMOOTH_PX, _LEAST_SMOOTH, _LEAST_SHARE)
+    whole = (count >= share * (count + bare)) & (count >= _LEAST_SEEN * between.sum(axis=1))
     return np.asarray(some & long & smooth & straight & whole)
 
 

@@ -21,34 +21,31 @@ _FLOOR_PX = 0.1  # its outline is made of pixels
 
 def find_marks(chains: list[FloatArray], grey: UInt8Array, turf: Turf) -> tuple[SeenMark, ...]:
     """chains: (m, 3) of runs down the picture, which are patches where they are short."""
-    marks: list[SeenMark] = []
-    for chain in chains:
-        if len(chain) * SCAN_STEP_PX < _LEAST_PX[0]:
-            continue
-        low = np.array([chain[0, 0] - 0.5 * SCAN_STEP_PX, float((chain[:, 1] - 0.5 * chain[:, 2]).min())])
-        high = np.array([chain[-1, 0] + 0.5 * SCAN_STEP_PX, float((chain[:, 1] + 0.5 * chain[:, 2]).max())])
-        size = high - low
-        if size.max() > _LARGEST * grey.shape[1] or (size < _LEAST_PX).any():
-            continue
-        if not 1.0 / _TALLEST <= size[0] / size[1] <= _FLATTEST:
-            continue
-        if chain[:, 2].sum() * SCAN_STEP_PX < _FILLED * size[0] * size[1]:
-            continue
-        mark = _measured(0.5 * (low + high), size, grey, turf)
-        if mark is not None:
-            marks.append(mark)
-    return tuple(marks)
-
-
-def _measured(middle: FloatArray, size: FloatArray, grey: UInt8Array, turf: Turf) -> SeenMark | None:
-    """A patch about its middle (2,), of size (2,); None where something else than turf is around it."""
+    boxes = [_box(chain) for chain in chains if _LEAST_PX[0] <= len(chain) * SCAN_STEP_PX <= _LARGEST * grey.shape[1]]
+    if not boxes:
+        return ()
+    middle, size, filled = (np.array(part) for part in zip(*boxes, strict=True))
+    flat = size[:, 0] / size[:, 1]
+    fits = (size >= _LEAST_PX).all(axis=1) & (flat >= 1.0 / _TALLEST) & (flat <= _FLATTEST) & (filled > _FILLED)
     angle = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
-    ring = middle + np.stack([np.cos(angle), np.sin(angle)], axis=1) * (0.75 * size + 4.0)
+    ring = middle[:, None] + np.stack([np.cos(angle), np.sin(angle)], axis=1) * (0.75 * size + 4.0)[:, None]
+    fits &= np.count_nonzero(turf.at(ring), axis=1) >= _TURF * _AROUND
+    inside = ((ring > 0.0) & (ring < (grey.shape[1] - 1.0, grey.shape[0] - 1.0))).all(axis=(1, 2))
+    found = (_measured(middle[row], size[row], ring[row], grey) for row in np.flatnonzero(fits & inside))
+    return tuple(mark for mark in found if mark is not None)
+
+
+def _box(chain: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Middle (2,) and size (2,) of the box about a patch, and the share of it that is white."""
+    low = np.array([chain[0, 0] - 0.5 * SCAN_STEP_PX, float((chain[:, 1] - 0.5 * chain[:, 2]).min())])
+    high = np.array([chain[-1, 0] + 0.5 * SCAN_STEP_PX, float((chain[:, 1] + 0.5 * chain[:, 2]).max())])
+    size = high - low
+    return 0.5 * (low + high), size, float(chain[:, 2].sum()) * SCAN_STEP_PX / float(size[0] * size[1])
+
+
+def _measured(middle: FloatArray, size: FloatArray, ring: FloatArray, grey: UInt8Array) -> SeenMark | None:
+    """A patch about its middle (2,), of size (2,), with turf on the ring (n, 2) about it; None for a pale or black one."""
     pixels = np.rint(ring).astype(np.intp)
-    if (pixels < 0).any() or (pixels >= (grey.shape[1], grey.shape[0])).any():
-        return None
-    if np.count_nonzero(turf.at(ring)) < _TURF * _AROUND:
-        return None
     around = grey[pixels[:, 1], pixels[:, 0]].astype(np.float64)
     level, spread = float(np.sort(around)[_AROUND // 2]), float(around.std())
     first = np.maximum(np.floor(middle - 0.5 * size - 2.0), 0).astype(np.intp)

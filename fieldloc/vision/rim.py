@@ -27,9 +27,9 @@ def trace(
 
     ellipse: in the plane. on: (n, 3) the middles of white runs on it, with their widths along the scan lines.
     """
-    for _ in range(2):
+    for spacing_px in (2.0 * _SPACING_PX, _SPACING_PX):  # once to come onto the line, once to measure
         centre, axes = ellipse.axes()
-        turns = _evenly(centre, axes)
+        turns = _evenly(centre, axes, spacing_px)
         points, normals = on_rim(centre, axes, turns)
         part = np.rint(turns * _BINS).astype(np.intp) % _BINS
         widths = _widths(centre, axes, on)[part]
@@ -41,13 +41,13 @@ def trace(
         good = found.good & (found.step > 0.6 * settings.least_contrast)
         middles = points + (found.middle_px / zoom)[:, None] * normals
         fitted = None
-        for _ in range(3):
+        for _ in range(2):
             fitted = fit_ellipse(middles[good], ellipse.weights(middles[good]))
             if fitted is None:
                 return None
             ellipse = fitted
             off = ellipse.distance(np.where(np.isfinite(middles), middles, 1e9))
-            spread = 1.4826 * float(np.median(np.abs(off[good])))
+            spread = 1.4826 * float(np.sort(np.abs(off[good]))[np.count_nonzero(good) // 2])
             good &= np.abs(off) < _OUTLIER * max(spread, 0.05)
         if np.count_nonzero(good) < max(_FEWEST // 2, _LEAST_SHARE * len(good)):
             return None
@@ -65,12 +65,12 @@ def trace(
     return SeenCircle(pixels[good] + (found.middle_px[good])[:, None] * across[good], sigma, numbers)
 
 
-def _evenly(centre: FloatArray, axes: FloatArray) -> FloatArray:
+def _evenly(centre: FloatArray, axes: FloatArray, spacing_px: float) -> FloatArray:
     """Turns of the ellipse's own angle at which points are about evenly spaced on it."""
-    fine = np.linspace(0.0, 1.0, 361)
+    fine = np.linspace(0.0, 1.0, 181)
     rim, _ = on_rim(centre, axes, fine)
     path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rim, axis=0).T))])
-    count = int(np.clip(path[-1] / _SPACING_PX, _FEWEST, _MOST))
+    count = int(np.clip(path[-1] / spacing_px, _FEWEST, _MOST))
     return np.asarray(np.interp(np.arange(count) * path[-1] / count, path, fine))
 
 
