@@ -9,6 +9,7 @@ from fieldloc.detection import Detection
 from fieldloc.mount_correction import MountCorrection
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
+from fieldloc.scan_noise import NoisePrior
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,4 +197,5 @@ class Config:
     mount: MountCorrection = field(default_factory=MountCorrection)
     correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     detection: Detection = field(default_factory=Detection)
+    scan_noise: NoisePrior = field(default_factory=NoisePrior)
     compass: Compass = field(default_factory=Compass)

@@ -24,6 +24,7 @@ from fieldloc.errors import FieldlocError
 from fieldloc.mount_correction import MountCorrection
 from fieldloc.mount_fit import PARTS
 from fieldloc.repetition import ErrorCorrelation
+from fieldloc.scan_noise import NoisePrior
 from fieldloc.toml_table import TomlTable
 
 _ABOVE_ZERO = (
@@ -37,6 +38,7 @@ _ABOVE_ZERO = (
     "cauchy",
     "max_hypotheses",
     "offset_s",
+    "own",
 )
 _QUOTES = "'\""
 _WORDS = {"engine": ENGINES}
@@ -55,6 +57,7 @@ Section = TypeVar(
     MountCorrection,
     ErrorCorrelation,
     Detection,
+    NoisePrior,
     Compass,
 )
 

@@ -22,6 +22,8 @@ from fieldloc.repeated_mixture import RepeatedMixture
 from fieldloc.repetition import ErrorCorrelation, Repetition, inflation
 from fieldloc.scan_coverage import Misses, Sightings
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
+from fieldloc.scan_noise import UNLEARNED, NoisePrior
+from fieldloc.scan_noises import LearnedNoise, ScanNoises
 from fieldloc.tempering import tempered
 from fieldloc.told_mixture import told_mixture
 
@@ -43,6 +45,7 @@ class MixtureBuilder:
         correlation: ErrorCorrelation = _DEFAULT_CORRELATION,
         detection: Detection = _DEFAULT_DETECTION,
         mount: MountCorrection = _AS_LOGGED,
+        noise: NoisePrior = UNLEARNED,
     ) -> None:
         self._field = field
         self._camera = camera
@@ -51,6 +54,7 @@ class MixtureBuilder:
         self._mount = mount
         self._area_m2 = float(np.exp(anywhere(field).log_volume)) / (2 * np.pi)
         self._repetition = Repetition()
+        self._noises = ScanNoises(noise, correlation)
         self._sightings: dict[bytes, Sightings] = {}  # by where the sensor is mounted
         self._last_scan_ns: int | None = None
         self._unknown: Counter[str] = Counter()
@@ -66,6 +70,10 @@ class MixtureBuilder:
         if self._images_without_camera:
             out.append(f"{self._images_without_camera} images left out: the log says nothing about the camera")
         return tuple(out)
+
+    def scan_noises(self) -> tuple[LearnedNoise, ...]:
+        """How noisy the scans of each sensor have turned out to be."""
+        return self._noises.learned()
 
     def build(self, measurement: LandmarkScan | ImageFeatures | Compass | InitialPose) -> MixtureFactor | None:
         """None for what says nothing: no landmark of the map, no line, no camera. ValueError for what no arithmetic can
@@ -93,8 +101,10 @@ class MixtureBuilder:
         """What was seen, by where the robot (3,) is thought to be now: seen again soon, it is little news."""
         match mixture:
             case ScanMixture():
-                for index in mixture.landmarks_seen(pose) if pose is not None else ():
-                    self._repetition.see(index, mixture.stamp_ns)
+                if pose is not None:
+                    for index in mixture.landmarks_seen(pose):
+                        self._repetition.see(index, mixture.stamp_ns)
+                    self._noises.learn(mixture, pose)
             case _ if mixture.by_compass:
                 if pose is not None:  # a heading alone is lost on a robot that knows nothing
                     self._repetition.see(_COMPASS, mixture.stamp_ns)
@@ -103,7 +113,8 @@ class MixtureBuilder:
 
     def _scan(self, scan: LandmarkScan) -> ScanMixture | None:
         wider = self._wider_landmarks(scan.stamp_ns)
-        mixture = scan_mixture(scan, self._field, self._detection, wider, self._misses(scan))
+        noise, wider_shared = self._noises.of(scan)
+        mixture = scan_mixture(scan, self._field, self._detection, wider, self._misses(scan), noise, wider_shared)
         if mixture is not None and (sightings := self._of_sensor(scan)) is not None:
             sightings.see(mixture.scan.range_bearing)
         self._last_scan_ns = scan.stamp_ns

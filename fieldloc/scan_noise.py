@@ -37,6 +37,24 @@ class ScanNoise:
 AS_STATED = ScanNoise()
 
 
+@dataclass(frozen=True, slots=True)
+class NoisePrior:
+    """What is thought of a sensor's scans before it has shown how good it is.
+
+    own, shared: ScanNoise's shares, of ranges and bearings alike; own_log_sigma, shared_log_sigma: standard deviations
+    of their logarithms, with which they are learned. 0 takes the log at its word. By how much a whole scan is turned
+    nothing within it can show: what landmarks' own errors leave of the stated variance of a bearing is taken for that.
+    """
+
+    own: float = 1.0
+    shared: float = 0.1
+    own_log_sigma: float = 1.0
+    shared_log_sigma: float = 1.5
+
+
+UNLEARNED = NoisePrior(shared=0.0, own_log_sigma=0.0, shared_log_sigma=0.0)
+
+
 def shared_directions(covariance: FloatArray) -> FloatArray:
     """(n, 2) standard deviations in range and bearing that a shared error has if it is as large as the stated ones."""
     variances = np.diagonal(covariance, axis1=-2, axis2=-1).copy()
