@@ -13,6 +13,7 @@ from fieldloc.vision.detections import Detections
 from fieldloc.vision.lines import fit_lines
 from fieldloc.vision.marks import find_marks
 from fieldloc.vision.picture import UInt8Array
+from fieldloc.vision.posts import find_posts
 from fieldloc.vision.rim import trace
 from fieldloc.vision.segments import merged, straight_pieces
 from fieldloc.vision.settings import VisionSettings
@@ -45,12 +46,14 @@ def detect(
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     circle = found and trace(grey, found[0], np.concatenate(parts(chains, found[1], True)), plane, settings)
     rest = parts(chains, found[1], False) if found and circle else chains
+    posts = find_posts(picture, turf, colours, camera)
     lines = fit_lines(grey, merged(straight_pieces(rest, 0.6 * settings.least_length_px)), plane, turf, settings)
-    lines = sort_out(lines, circle, grey, turf)
+    lines = sort_out(lines, circle, posts, grey, turf)
     return Detections(
         width,
         height,
         lines=lines,
+        posts=posts,
         circles=(circle,) if circle else (),
         corners=find_corners(lines, plane),
         marks=find_marks(patches, grey, turf),

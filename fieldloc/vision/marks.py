@@ -44,7 +44,7 @@ def _box(chain: FloatArray) -> tuple[FloatArray, FloatArray, float]:
 
 
 def _measured(middle: FloatArray, size: FloatArray, ring: FloatArray, grey: UInt8Array) -> SeenMark | None:
-    """A patch about its middle (2,), of size (2,), with turf on the ring (n, 2) about it; None for a pale or black one."""
+    """A patch about its middle (2,), of size (2,), turf on a ring (n, 2) about it; None for a pale or black one."""
     pixels = np.rint(ring).astype(np.intp)
     around = grey[pixels[:, 1], pixels[:, 0]].astype(np.float64)
     level, spread = float(np.sort(around)[_AROUND // 2]), float(around.std())

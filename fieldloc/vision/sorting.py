@@ -7,7 +7,7 @@ is short is a mark, and what goes on, as wide as it is, to where there is no tur
 import numpy as np
 
 from fieldloc.pose import FloatArray
-from fieldloc.vision.detections import SeenCircle, SeenLine
+from fieldloc.vision.detections import SeenCircle, SeenLine, SeenPost
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.profiles import measure
 from fieldloc.vision.turf import Mask, Turf
@@ -23,7 +23,11 @@ _UPRIGHT = 5  # of them with white going on and turf on neither side: upright
 
 
 def sort_out(
-    lines: tuple[SeenLine, ...], circle: SeenCircle | None, grey: UInt8Array, turf: Turf
+    lines: tuple[SeenLine, ...],
+    circle: SeenCircle | None,
+    posts: tuple[SeenPost, ...],
+    grey: UInt8Array,
+    turf: Turf,
 ) -> tuple[SeenLine, ...]:
     """The lines that are left."""
     if not lines:
@@ -31,6 +35,7 @@ def sort_out(
     ends = np.stack([line.ends_px for line in lines])
     width = np.stack([line.width_px for line in lines])
     upright, free, blocked = _beyond(ends, width, grey, turf)
+    upright |= _on_posts(ends, posts)
     sigma = np.stack([line.width_sigma_px for line in lines])
     good = ~_covered(ends, width) & ~upright & _tapers_as_turf(ends, width, sigma, turf, grey.shape[0])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -39,6 +44,20 @@ def sort_out(
     mark = short & free.all(axis=1) & lonely
     limb = (length < _LIMB_WIDTHS * width.mean(axis=1)) & blocked.any(axis=1)
     return tuple(line for line, keep in zip(lines, good & ~mark & ~limb, strict=True) if keep)
+
+
+def _on_posts(ends: FloatArray, posts: tuple[SeenPost, ...]) -> Mask:
+    """(n,) whose ends are both on one post."""
+    on = np.zeros(len(ends), dtype=np.bool_)
+    for post in posts:
+        left, right = post.left_px, post.right_px
+        rows = np.clip(ends[..., 1], left[0, 1], left[1, 1])
+        first, last = (np.interp(rows, edge[:, 1], edge[:, 0]) for edge in (left, right))
+        aside = 0.3 * np.abs(last - first) + 2.0
+        there = (ends[..., 0] > first - aside) & (ends[..., 0] < last + aside)
+        there &= (ends[..., 1] > left[0, 1] - aside) & (ends[..., 1] < left[1, 1] + 2.0 * aside)
+        on |= there.all(axis=1)
+    return on
 
 
 def _covered(ends: FloatArray, width: FloatArray) -> Mask:
