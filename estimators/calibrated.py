@@ -16,6 +16,7 @@ from fieldloc.pose import FloatArray
 TOLD_NOTHING = 0.9  # of the prior's sigma: more than this is left where a log says nothing of a quantity
 _NEXT_TIME = 0.1  # of the prior's sigma: a robot is not quite the same the next day
 _ODOMETRY = len(OdometryCalibration._fields)
+_DELAY = _ODOMETRY + SensorCalibration._fields.index("delay_s")
 _UNITS = {"_rad": "rad", "_rad_per_m": "rad/m", "_mps": "m/s", "_radps": "rad/s", "_s": "s", "_m": "m"}
 
 _NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields)
@@ -46,13 +47,15 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotCalibration:
-    """quantities: in the order of estimators.solution. covariance: (8, 8) of all.
+    """quantities: in the order of estimators.solution. late: how late the robot does what its odometry says.
+    covariance: (8, 8) of the former.
 
     disagreement: chi-square per degree of freedom of several logs about their common estimate, 1 where they agree as
     well as they claim to; where it is more, all sigmas are wider by its root. NaN for one log.
     """
 
     quantities: tuple[Quantity, ...]
+    late: Quantity
     covariance: FloatArray
     disagreement: float
 
@@ -60,9 +63,11 @@ class RobotCalibration:
         """The settings with what is known now, each quantity a little less surely than it was estimated."""
         values = [quantity.value for quantity in self.quantities]
         sigmas = [float(np.hypot(q.sigma, _NEXT_TIME * q.prior_sigma)) for q in self.quantities]
+        calibration = _known(config.calibration, values[:_ODOMETRY], sigmas[:_ODOMETRY])
+        late = self.late
         return replace(
             config,
-            calibration=_known(config.calibration, values[:_ODOMETRY], sigmas[:_ODOMETRY]),
+            calibration=replace(calibration, odometry_delay_s=late.value, odometry_delay_sigma_s=late.sigma),
             sensor=_known(config.sensor, values[_ODOMETRY:], sigmas[_ODOMETRY:]),
         )
 
@@ -100,7 +105,7 @@ def calibrated(solutions: Sequence[Solution], config: Config) -> RobotCalibratio
         value, sigma = (values[k], sigmas[k]) if told else (prior_mean[k], prior_sigma[k])
         section = "calibration" if k < _ODOMETRY else "sensor"
         quantities.append(Quantity(section, name, float(value), float(sigma), float(prior_sigma[k]), float(gain), told))
-    return RobotCalibration(tuple(quantities), whole, disagreement)
+    return RobotCalibration(tuple(quantities), _late(solutions, quantities[_DELAY], config), whole, disagreement)
 
 
 def _likelihood(
@@ -113,6 +118,19 @@ def _likelihood(
     values, vectors = np.linalg.eigh(posterior - prior)  # rounding must not make it say less than nothing
     information = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return information, posterior @ mean - prior @ prior_mean[free]
+
+
+def _late(solutions: Sequence[Solution], eyes: Quantity, config: Config) -> Quantity:
+    """How late the robot is and how late its eyes are shows only as a sum: neither is known better than the other."""
+    prior = config.calibration
+    late_s = [solution.late_s for solution in solutions]
+    told = prior.odometry_delay_sigma_s > 0.0 and any(one != prior.odometry_delay_s for one in late_s)
+    value, sigma = prior.odometry_delay_s, prior.odometry_delay_sigma_s
+    gain = 0.0
+    if told:
+        value, sigma = float(np.mean(late_s)), min(sigma, eyes.sigma)
+        gain = 0.5 * (value - prior.odometry_delay_s) ** 2 / sigma**2
+    return Quantity("calibration", "odometry_delay_s", value, sigma, prior.odometry_delay_sigma_s, gain, told)
 
 
 def _known(section: Section, values: Sequence[float], sigmas: Sequence[float]) -> Section:

@@ -42,7 +42,7 @@ class CalibratedRobot:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        return self.robot.quantities + self.mount
+        return (*self.robot.quantities, self.robot.late, *self.mount)
 
     def settings(self, config: Config) -> Config:
         """The settings with what is known now."""

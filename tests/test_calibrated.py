@@ -107,6 +107,17 @@ def test_a_log_is_solved_about_what_was_known_of_the_odometry() -> None:
     assert twice == pytest.approx((2 * 99 * (0.07 - 0.001) / 0.99 + 0.1) / 199, abs=1e-4)
 
 
+def test_a_late_robot_and_late_eyes_are_told_together() -> None:
+    covariance = np.diag((0.5 * global_sigmas(CONFIG)) ** 2)
+    late = calibrated([replace(solution(np.zeros(SIZE), covariance), late_s=0.2)], CONFIG)
+    assert (late.late.value, late.late.told) == (0.2, True)
+    known = late.settings(CONFIG)
+    assert known.calibration.odometry_delay_s == 0.2
+    assert known.calibration.odometry_delay_sigma_s < CONFIG.calibration.odometry_delay_sigma_s
+    punctual = calibrated([solution(np.zeros(SIZE), covariance)], CONFIG)
+    assert punctual.settings(CONFIG).calibration.odometry_delay_sigma_s == CONFIG.calibration.odometry_delay_sigma_s
+
+
 def test_nothing_says_nothing() -> None:
     with pytest.raises(ValueError, match="no solution"):
         calibrated([], CONFIG)
@@ -120,5 +131,5 @@ def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
     write_settings(path, done, CONFIG)
     assert load_config(path) == done.settings(CONFIG)
     table = calibration_table(done).splitlines()
-    assert len(table) == 1 + SIZE + len(MOUNT)
+    assert len(table) == 2 + SIZE + len(MOUNT)
     assert table[0].split() == ["quantity", "value", "sigma", "sigma", "before", "unit", "log-likelihood"]
