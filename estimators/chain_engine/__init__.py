@@ -7,7 +7,6 @@ In machine code where numba is installed (`pip install fieldloc[fast]`), otherwi
 
 from collections.abc import Callable
 from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 
@@ -32,13 +31,13 @@ def solve(chain: Chain, config: Config, near: Solution | None = None) -> Solutio
 
 @cache
 def arithmetic() -> Callable[[Linearised, float], Arithmetic]:
-    """In numba where it is there."""
-    if find_spec("numba") is None:
+    """In numba where it is there and works with the numpy that is there."""
+    try:
+        from estimators.chain_engine.in_numba import InNumba
+    except ImportError:
         from estimators.chain_engine.in_arrays import InArrays
 
         return InArrays
-    from estimators.chain_engine.in_numba import InNumba
-
     return InNumba
 
 
