@@ -8,13 +8,15 @@ import math
 import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from fieldloc import lens
 from fieldloc.errors import FieldlocError
 from fieldloc.pose import FloatArray
+
+Across = Literal["horizontal", "vertical", "diagonal"]
 
 _COEFFICIENTS = {"pinhole": (0, 4, 5, 8, 12, 14), "fisheye": (0, 4)}
 _OPTIONAL = ("distortion",)
@@ -119,6 +121,28 @@ def load_camera(path: str | Path) -> Camera:
         return Camera(**table, distortion=tuple(distortion) if isinstance(distortion, list) else distortion)
     except ValueError as error:
         raise FieldlocError(f"{path}: {error}") from None
+
+
+def camera_to_toml(camera: Camera) -> str:
+    """TOML text that `load_camera` reads as the same camera, digit by digit."""
+    lines = [f'model = "{camera.model}"']
+    lines += [f"{field.name} = {getattr(camera, field.name)!r}" for field in fields(Camera)[1:-1]]
+    if camera.distortion:
+        lines.append(f"distortion = {list(camera.distortion)!r}")
+    return "\n".join(lines) + "\n"
+
+
+def camera_of_view(width_px: int, height_px: int, fov_rad: float, across: Across = "horizontal") -> Camera:
+    """The pinhole camera without distortion, with square pixels, that sees so much of the world.
+
+    fov_rad: from the outer border of the picture to the one opposite, or from corner to corner. ValueError outside
+    0 to pi.
+    """
+    if not 0.0 < fov_rad < math.pi:
+        raise ValueError(f"a field of view of {math.degrees(fov_rad):g} degrees; a pinhole has one between 0 and 180")
+    sizes = {"horizontal": width_px, "vertical": height_px, "diagonal": math.hypot(width_px, height_px)}
+    focal_px = 0.5 * sizes[across] / math.tan(0.5 * fov_rad)
+    return Camera("pinhole", width_px, height_px, focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2)
 
 
 def _are_numbers(value: object) -> bool:

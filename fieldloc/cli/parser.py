@@ -4,7 +4,18 @@ import argparse
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from fieldloc.cli import calibrating, detecting, editing, localize, locating, recordings, rendering, results, viewing
+from fieldloc.cli import (
+    calibrating,
+    camera,
+    detecting,
+    editing,
+    localize,
+    locating,
+    recordings,
+    rendering,
+    results,
+    viewing,
+)
 from fieldloc.cli.commands import Commands, Parser
 
 
@@ -22,7 +33,8 @@ def _parser() -> Parser:
     parser.add_argument("--version", action="version", version=version("fieldloc"))
     parser.set_defaults(quiet=False)
     commands = Commands(parser.add_subparsers(metavar="COMMAND", required=True))
-    for family in (recordings, rendering, detecting, localize, locating, calibrating, results, viewing, editing):
+    localizing = (localize, locating, calibrating, camera)
+    for family in (recordings, rendering, detecting, *localizing, results, viewing, editing):
         family.add_commands(commands)
     parser.epilog = "\n  ".join(["examples:", *commands.examples])
     return parser
