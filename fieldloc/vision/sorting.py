@@ -13,7 +13,7 @@ from fieldloc.vision.profiles import measure
 from fieldloc.vision.turf import Mask, Turf
 
 _COVERED = 0.7  # share of a piece within wider or longer ones
-_MARK_WIDTHS = 30.0  # what is longer than so many widths is no mark
+_MARK_WIDTHS, _MARK_LENGTH = 30.0, 0.15  # longer than so many widths or than this of the picture's width is no mark
 _LIMB_WIDTHS = 8.0  # what is shorter and ends at something that is no turf is a part of that
 _LOWEST_PX, _HIGHEST = 8.0, 0.35  # of the horizon above the field's border, in pixels and of the picture's height
 _TAPER = 0.25  # of the logarithm of a width, beyond perspective and three standard deviations
@@ -39,7 +39,7 @@ def sort_out(
     sigma = np.stack([line.width_sigma_px for line in lines])
     good = ~_covered(ends, width) & ~upright & _tapers_as_turf(ends, width, sigma, turf, grey.shape[0])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    short = length < _MARK_WIDTHS * width.mean(axis=1)
+    short = length < np.minimum(_MARK_WIDTHS * width.mean(axis=1), _MARK_LENGTH * grey.shape[1])
     lonely = ~_near_others(ends, width, good & ~short, circle)
     mark = short & free.all(axis=1) & lonely
     limb = (length < _LIMB_WIDTHS * width.mean(axis=1)) & blocked.any(axis=1)
