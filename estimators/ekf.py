@@ -16,7 +16,7 @@ from estimators.legs import Legs
 from estimators.motion import STANDSTILL, HeldVelocity
 from estimators.views import CALIBRATION, EXTRA, LATE, OFFSET, SIZE, View, Views, of_factor, prior
 from fieldloc import pose as se2
-from fieldloc.covariance import squared_mahalanobis
+from fieldloc.covariance import propagate, squared_mahalanobis
 from fieldloc.factors import Factor, HeadingFactor, PoseFactor
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
@@ -70,7 +70,7 @@ class Ekf:
 
     def update(self, factor: Factor) -> Innovation | None:
         self.advance(factor.stamp_ns)
-        view = of_factor(self._views, factor, self._extra)
+        view = of_factor(self._views, factor, self._extra, self._filter.P[3:, 3:])
         if self._pose is None:
             if isinstance(factor, PoseFactor):
                 self._believe(factor.pose, factor.covariance, view)
@@ -79,7 +79,8 @@ class Ekf:
         self._pending = STANDSTILL
         at = view.of(self._pose, self._extra)
         residual, by_state = factor.error(at), factor.jacobian(at) @ view.by_state
-        expected = by_state @ self._filter.P @ by_state.T + factor.covariance
+        left_open = propagate(factor.jacobian(at), view.chance)
+        expected = by_state @ self._filter.P @ by_state.T + left_open + factor.covariance
         nis = float(squared_mahalanobis(residual, expected))
         weight = self._trust(factor, residual, expected, nis)
         innovation = Innovation(factor.stamp_ns, residual, expected, nis, weight)
@@ -87,9 +88,8 @@ class Ekf:
             self.carried_ns.append((self._restart.since_ns, elsewhere.stamp_ns))
             self._believe(elsewhere.pose, elsewhere.covariance, view)
             return innovation
-        self._filter.update(
-            -residual, HJacobian=lambda _: by_state, Hx=lambda _: np.zeros(len(residual)), R=factor.covariance / weight
-        )
+        noise = left_open + factor.covariance / weight
+        self._filter.update(-residual, HJacobian=lambda _: by_state, Hx=lambda _: np.zeros(len(residual)), R=noise)
         self._absorb()
         self._motion.scales = self._legs.look(self._pose, self._filter.P, self._extra[:CALIBRATION])
         return innovation
@@ -99,7 +99,12 @@ class Ekf:
 
     def seen_from(self) -> Estimate | None:
         """Where the eyes were when they saw what they show now."""
-        return self._seen(self._views.sight(self._extra))
+        return self._seen(self._views.sight(self._extra, self._filter.P[3:, 3:]))
+
+    @property
+    def learned(self) -> tuple[FloatArray, FloatArray]:
+        """Mean (10,) and covariance (10, 10) of what is kept beside the pose (`estimators.views`)."""
+        return self._extra, self._filter.P[3:, 3:]
 
     def _seen(self, view: View) -> Estimate | None:
         if self._pose is None or self._motion.stamp_ns is None:

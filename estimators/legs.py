@@ -11,6 +11,8 @@ with C1, C2 of the noise along the way and of the turns. Fisher scoring, leg by 
 slowly shows only in long ones). d is weighed as of a Student-t distribution: no outlier has more than a say.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimators.config import MotionNoise
@@ -40,13 +42,13 @@ class Legs:
         return self._scales
 
     def begin(self, pose: FloatArray, covariance: FloatArray, calibration: FloatArray) -> None:
-        """covariance: (9, 9) or larger of the pose's tangent (3,) and the calibration (6,)."""
+        """covariance: (3 + n, 3 + n) or larger of the pose's tangent (3,) and the calibration (n,)."""
         size = 3 + len(calibration)
         self._start, self._covariance, self._calibration = pose, covariance[:size, :size], calibration
-        self._way = STANDSTILL
+        self._way = replace(STANDSTILL, by_calibration=np.zeros((3, len(calibration))))
 
     def move(self, motion: Increment, calibration: FloatArray) -> None:
-        """motion: with the calibration (6,) in it."""
+        """motion: with the calibration (n,) in it."""
         if self._start is not None and motion is not STANDSTILL:
             self._way = self._way.then(motion.calibrated(self._calibration - calibration))
 
@@ -87,4 +89,6 @@ class Legs:
 
     def _mean(self) -> FloatArray:
         """Of the scales, whose logarithms are known to be normal about what is thought of them."""
+        if self._sigma == 0.0:
+            return np.ones(2)
         return np.exp(self._logs + 0.5 * np.diag(np.linalg.inv(self._information)))

@@ -132,6 +132,16 @@ class HeldVelocity:
         """Whether there is odometry that does not state its covariance: it may be what the robot was told to do."""
         return self._odometry is not None and self._odometry.covariance is None
 
+    def before(self, duration_s: float) -> FloatArray:
+        """(3,) velocity that was held so long before the last stamp, a second at most."""
+        if self.stamp_ns is None or self._odometry is None:
+            return np.zeros(3)
+        then_ns = self.stamp_ns - min(int(duration_s * 1e9), _RECENT_NS)
+        for odometry in reversed(self._recent):
+            if odometry.stamp_ns <= then_ns:
+                return odometry.velocity
+        return self._recent[0].velocity
+
     def recent(self, duration_s: float) -> FloatArray:
         """(3,) velocity on the average of so long before the last stamp, a second at most; the present one for none."""
         now_ns, held = self.stamp_ns, self._odometry

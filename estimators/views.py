@@ -6,6 +6,7 @@ which are turned by their bearing offset and are late too (`estimators.sensor`).
 log; which part of it is the robot's, the prior sigmas say.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ OFFSET = SIZE - 1  # of the compass
 """Places in the tangent: that of the pose, the odometry's calibration, the eyes', the robot's delay, the compass'
 offset."""
 _HELD = np.eye(3, SIZE)
+_NONE = np.zeros((3, 3))
 
 
 def prior(config: Config) -> tuple[FloatArray, FloatArray]:
@@ -38,21 +40,25 @@ def prior(config: Config) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """by_state: (3, 13) the change of the tangent of a pose that something is about, with all that is kept."""
+    """by_state: (3, 13) the change of the tangent of a pose that something is about, with all that is kept. twist: (3,)
+    of the way there for who keeps `at` (10,). chance: (3, 3) covariance of what is left open of it."""
 
     by_state: FloatArray
+    twist: FloatArray
+    at: FloatArray
+    chance: FloatArray
 
     def of(self, poses: FloatArray, extra: FloatArray) -> FloatArray:
         """(..., 3) of poses (..., 3) that are kept, with (..., 10) beside them."""
-        return se2.retract(poses, self._beside(extra))
+        return se2.retract(poses, self.beside(extra))
 
     def back(self, poses: FloatArray, extra: FloatArray) -> FloatArray:
         """The inverse."""
-        return se2.retract(poses, -self._beside(extra))
+        return se2.retract(poses, -self.beside(extra))
 
     def covariance(self, of_state: FloatArray) -> FloatArray:
         """(..., 3, 3) of covariances (..., 13, 13)."""
-        return propagate(self.by_state, of_state)
+        return propagate(self.by_state, of_state) + self.chance
 
     def of_state(self, covariance: FloatArray, known: FloatArray) -> FloatArray:
         """(..., 13, 13) of covariances (..., 3, 3) of poses that something is about, beside (..., 10, 10) known of the
@@ -61,12 +67,13 @@ class View:
         out = np.zeros((*covariance.shape[:-2], SIZE, SIZE))
         out[..., :3, 3:] = -aside @ known
         out[..., 3:, :3] = np.swapaxes(out[..., :3, 3:], -1, -2)
-        out[..., :3, :3] = covariance + propagate(aside, known)
+        out[..., :3, :3] = covariance + propagate(aside, known) + self.chance
         out[..., 3:, 3:] = known
         return out
 
-    def _beside(self, extra: FloatArray) -> FloatArray:
-        return np.asarray(extra @ self.by_state[:, 3:].T)
+    def beside(self, extra: FloatArray) -> FloatArray:
+        """(..., 3) twists to the view's poses."""
+        return np.asarray(self.twist + (extra - self.at) @ self.by_state[:, 3:].T)
 
 
 class Views:
@@ -91,37 +98,51 @@ class Views:
         return not self._late
 
     def now(self, extra: FloatArray) -> View:
-        """Of the robot itself. extra: (10,) as thought to be, for the velocity."""
-        by_state = _HELD.copy()
+        """Of the robot itself. extra: (10,) as thought to be."""
+        by_state, twist = _HELD.copy(), np.zeros(3)
         if self._late:
-            by_state[:, LATE] = -self._velocity(float(extra[LATE - 3]), extra)
-        return View(by_state)
+            late_s = float(extra[LATE - 3])
+            by_state[:, LATE] = -self._velocity(late_s, extra)
+            twist = -late_s * self._mean_velocity(late_s, extra)
+        return View(by_state, twist, extra, _NONE)
 
-    def sight(self, extra: FloatArray) -> View:
-        """Of what the eyes see."""
+    def sight(self, extra: FloatArray, known: FloatArray) -> View:
+        """Of what the eyes see. known: (10, 10) covariance of extra."""
         by_state = _HELD.copy()
-        velocity = self._velocity(float(extra[LATE - 3] + extra[LATE - 4]), extra)
-        by_state[:, EYES] = lever(velocity)
-        by_state[:, LATE] = -velocity
-        return View(by_state)
+        both = slice(LATE - 4, LATE - 2)
+        late_s, sigma_s = float(extra[both].sum()), math.sqrt(max(known[both, both].sum(), 0.0))
+        by_state[:, EYES] = lever(self._velocity(late_s, extra))
+        by_state[:, LATE] = by_state[:, LATE - 1]
+        twist = -late_s * self._mean_velocity(late_s, extra)
+        twist[2] -= extra[LATE - 5]
+        # how much of a sigma's way is not along a straight line
+        early, later = (self._velocity(late_s + by * sigma_s, extra) for by in (-2.0, 2.0))
+        bent = 0.5 * sigma_s * (later - early)
+        return View(by_state, twist, extra, np.outer(bent, bent))
 
     def compass(self, extra: FloatArray) -> View:
         """Of the heading that a compass shows."""
         view = self.now(extra)
         view.by_state[2, OFFSET] = 1.0
+        view.twist[2] += extra[-1]
         return view
 
-    def about(self, by_sight: bool, by_compass: bool, extra: FloatArray) -> View:
+    def about(self, by_sight: bool, by_compass: bool, extra: FloatArray, known: FloatArray) -> View:
         if by_sight:
-            return self.sight(extra)
+            return self.sight(extra, known)
         return self.compass(extra) if by_compass else self.now(extra)
 
     def _velocity(self, delay_s: float, extra: FloatArray) -> FloatArray:
+        """When the last stamp was so long ahead."""
+        return calibrated_velocity(self._held.before(max(delay_s, 0.0)), extra[:CALIBRATION])
+
+    def _mean_velocity(self, delay_s: float, extra: FloatArray) -> FloatArray:
+        """From then to the last stamp."""
         return calibrated_velocity(self._held.recent(max(delay_s, 0.0)), extra[:CALIBRATION])
 
 
-def of_factor(views: Views, factor: Factor, extra: FloatArray) -> View:
+def of_factor(views: Views, factor: Factor, extra: FloatArray, known: FloatArray) -> View:
     """Of a plain factor."""
     by_sight = isinstance(factor, (PoseFactor, LandmarkFactor, LineFactor)) and factor.by_sight
     by_compass = isinstance(factor, HeadingFactor) and factor.by_compass
-    return views.about(by_sight, by_compass, extra)
+    return views.about(by_sight, by_compass, extra, known)

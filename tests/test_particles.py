@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import filterpy.monte_carlo.resampling as filterpy_resampling
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from walks import TAKEN_AT_ITS_WORD, feed, nees, ns, right_factors, scan, velocities, walk
+from walks import PLAIN, TAKEN_AT_ITS_WORD, feed, nees, ns, right_factors, scan, velocities, walk
 
 from estimators.base import Estimate
 from estimators.config import Config, MotionNoise, Particles, Robust
@@ -23,14 +25,15 @@ def estimate_of(cloud: ParticleFilter) -> Estimate:
 
 def test_without_turns_it_agrees_with_the_exact_answer_up_to_sampling() -> None:
     heading, count, runs = 0.7, 1000, 40
-    motion = MotionNoise(0.2, 0.1, 0.0, 0.0, 0.001, 1e-6)
+    motion = MotionNoise(0.2, 0.1, 0.0, 0.0, 0.001, 1e-6, log_scale_sigma=0.0)
     turn = se2.rotation(heading)
     start = np.diag([0.3**2, 0.1**2, 1e-12])
     fix_covariance = np.diag([0.02, 0.005])
     random = np.random.default_rng(0)
     off, spread = [], []
     for seed in range(runs):
-        config = Config(motion, Robust(nis_per_dof=1e9), particles=Particles(count, outlier_share=0.0, seed=seed))
+        config = replace(PLAIN, motion=motion, robust=Robust(nis_per_dof=1e9))
+        config = replace(config, particles=Particles(count, outlier_share=0.0, seed=seed))
         cloud = ParticleFilter(config)
         cloud.start(Estimate(0, np.array([1.0, 2.0, heading]), start))
         x, p = np.array([1.0, 2.0]), start[:2, :2]
@@ -183,7 +186,7 @@ def test_the_errors_of_many_walks_are_as_large_as_the_filter_says(at_s: float) -
     truth = walk(se2.retract(first, start_sigma * random.standard_normal((walks, 3))), velocities(steps), 0.1, random)
     total = 0.0
     for i in range(walks):
-        cloud = ParticleFilter(Config(particles=Particles(seed=i)))
+        cloud = ParticleFilter(replace(PLAIN, particles=Particles(seed=i)))
         cloud.start(Estimate(0, first, se2.rotate_covariance(np.diag(start_sigma**2), first[2])))
         for k, command in enumerate(velocities(steps)):
             cloud.predict(Odometry(ns(0.1 * k), command))

@@ -104,7 +104,7 @@ class Bank:
         step = view.by_state.copy()
         step[:, :3] = se2.adjoint(se2.inverse(motion.before_from_after))
         step[:, 3 : 3 + CALIBRATION] += motion.by_calibration
-        moved = step @ self.covariances[row] @ step.T + motion.covariance
+        moved = step @ self.covariances[row] @ step.T + motion.covariance + view.chance
         return view.of(se2.compose(self.poses[row], motion.before_from_after), self.extra[row]), moved
 
     def seen(self, view: View) -> "Bank":

@@ -111,11 +111,11 @@ class MixtureFilter:
         self.advance(factor.stamp_ns)
         if not len(self._bank):
             if isinstance(factor, PoseFactor):
-                self._believe(factor.pose, factor.covariance, of_factor(self._views, factor, self._extra))
+                self._believe(factor.pose, factor.covariance, of_factor(self._views, factor, self._extra, self._known))
                 self._watch.begin(self._now_ns, "a whole pose")
             return None
         self._settle()
-        view = of_factor(self._views, factor, self._extra)
+        view = of_factor(self._views, factor, self._extra, self._known)
         children, innovation, log_unknown = met(
             self._bank, self._sides, factor, view, self._config.robust.nis_per_dof, self._first
         )
@@ -134,7 +134,7 @@ class MixtureFilter:
             mixture, self._unheard = replace(mixture, wider=1.0), False  # what it said before was not said to these
         if isinstance(mixture, HeadingMixture):
             self._heard = Heard(mixture)
-        view = self._views.about(mixture.by_sight, mixture.by_compass, self._extra)
+        view = self._views.about(mixture.by_sight, mixture.by_compass, self._extra, self._known)
         children = Children.of(self._bank, self._sides, mixture, view)
         children = children.tempered(self._news(mixture))
         solutions = mixture.solutions() if self._asks(children, mixture) else None
@@ -147,7 +147,12 @@ class MixtureFilter:
 
     def seen_from(self) -> Estimate | None:
         """Where the eyes were when they saw what they show now."""
-        return self._seen(self._views.sight(self._extra)) if len(self._bank) else None
+        return self._seen(self._views.sight(self._extra, self._known)) if len(self._bank) else None
+
+    @property
+    def learned(self) -> tuple[FloatArray, FloatArray]:
+        """Mean (10,) and covariance (10, 10) of what the best keeps beside the pose (`estimators.views`)."""
+        return self._extra, self._known
 
     def _seen(self, view: View) -> Estimate:
         row, copy = self._first

@@ -1,4 +1,4 @@
-"""The odometry's calibration, marginalised: a Gaussian that leans on where in the cloud the robot is.
+"""What odometry and eyes get wrong, marginalised: a Gaussian that leans on where in the cloud the robot is.
 
 A particle that is ahead of the others belongs to an odometry that reads short. So given the place d in the cloud, a
 robot-frame tangent at its mean, the calibration is normal: mean + slope d, covariance `rest`. An observation is about
@@ -6,6 +6,9 @@ the pose only and says nothing more of the calibration once the pose is known: w
 and with it the calibration's, and nothing else has to be done (Rao-Blackwellised, as in Schön, Gustafsson & Nordlund
 2005, but given the present pose instead of the whole path: what is learned does not die out by resampling). Where the
 cloud is a Gaussian this is the Kalman filter over pose and calibration.
+
+What the eyes get wrong is of the same kind, as the particles are where the robot was seen from: with other eyes it
+moved another way from sight to sight.
 """
 
 from typing import NamedTuple
@@ -27,14 +30,23 @@ class Spreading(NamedTuple):
 
 
 class CalibrationBelief:
-    def __init__(self, sigmas: FloatArray) -> None:
-        self.mean = np.zeros(len(sigmas))
-        self._slope = np.zeros((len(sigmas), 3))
-        self._rest = np.diag(sigmas**2)
+    def __init__(self, mean: FloatArray, covariance: FloatArray) -> None:
+        self.mean = mean
+        self._slope = np.zeros((len(mean), 3))
+        self._rest = covariance.copy()
+
+    def widen(self, place: int, variance: float) -> None:
+        """One of them is less known than was thought."""
+        self._rest[place, place] += variance
 
     def covariance(self, cloud: FloatArray) -> FloatArray:
-        """(6, 6) in all, for a cloud of covariance (3, 3), robot frame."""
+        """(n, n) in all, for a cloud of covariance (3, 3), robot frame."""
         return np.asarray(self._slope @ cloud @ self._slope.T + self._rest)
+
+    def joint(self, cloud: FloatArray) -> FloatArray:
+        """(3 + n, 3 + n) of the place and the calibration."""
+        cross = self._slope @ cloud
+        return np.block([[cloud, cross.T], [cross, self.covariance(cloud)]])
 
     def spreading(self, motion: Increment, cloud: FloatArray) -> Spreading:
         """motion: with the mean calibration in it already."""

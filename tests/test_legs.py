@@ -1,0 +1,139 @@
+"""How noisy odometry is, learned from the corrections at the ends of legs; and the poses that things are about."""
+
+import numpy as np
+import pytest
+from walks import KNOWN_NOISE, ns
+
+from estimators.config import Calibration, Config, MotionNoise
+from estimators.legs import Legs
+from estimators.motion import HeldVelocity, Increment
+from estimators.views import EXTRA, LATE, View, Views, prior
+from fieldloc import pose as se2
+from fieldloc.covariance import central_difference
+from fieldloc.measurements import Odometry
+from fieldloc.pose import FloatArray
+
+KNOWN = np.diag([0.02, 0.02, 0.01]) ** 2
+SURE = np.zeros((9, 9))
+SURE[:3, :3] = KNOWN
+
+
+def walked(legs: Legs, louder: FloatArray, count: int, random: np.random.Generator, wild: int = 0) -> FloatArray:
+    """Scales after so many legs of a robot with `louder` (2,) times the variances; each wild-th is an outlier."""
+    pose = np.zeros(3)
+    legs.begin(pose, SURE, np.zeros(6))
+    for leg in range(count):
+        turn = random.uniform(-1.0, 1.0)
+        way = np.array([2.0, 0.0, turn])
+        back = se2.adjoint(se2.inverse(way))
+        parts = np.array([np.diag([0.01, 0.004, 0.0]), np.zeros((3, 3))])
+        parts[1] = 0.02 * (0.3 * back[:, 2:] * back[:, 2] + 0.7 * np.diag([0.0, 0.0, 1.0]))
+        scaled = parts * legs.scales[:, None, None]
+        legs.move(Increment(way, scaled.sum(axis=0), np.zeros((3, 6)), scaled), np.zeros(6))
+        noise = random.multivariate_normal(np.zeros(3), np.tensordot(louder, parts, 1), method="eigh")
+        if wild and leg % wild == 0:
+            noise = noise + [3.0, -3.0, 1.0]
+        # what is known at both ends is off by its own share, the start's carried along
+        before, after = (np.sqrt(np.diag(KNOWN)) * random.standard_normal(3) for _ in range(2))
+        pose = se2.retract(se2.compose(pose, way), noise - back @ before + after)
+        legs.look(pose, SURE, np.zeros(6))
+        legs.begin(pose, SURE, np.zeros(6))
+    return legs.scales
+
+
+@pytest.mark.parametrize("louder", [(4.0, 1.0), (1.0, 4.0), (0.4, 3.0)])
+def test_the_noise_of_the_way_and_that_of_turns_are_told_apart(louder: tuple[float, float]) -> None:
+    logs = [
+        np.log(walked(Legs(MotionNoise()), np.array(louder), 60, np.random.default_rng(seed))) for seed in range(12)
+    ]
+    # of 60 legs, 2 numbers tell of the way and 1 of turns: sigmas of a logarithm are 0.13 and 0.18, over 12 runs a
+    # third of that; the prior pulls by one part in thirty
+    np.testing.assert_allclose(np.mean(logs, axis=0), np.log(louder), atol=0.3)
+
+
+def test_a_minute_or_two_tells_that_it_is_louder_than_thought() -> None:
+    few = walked(Legs(MotionNoise()), np.array([5.0, 5.0]), 5, np.random.default_rng(1))
+    assert (few > 2.0).all()
+
+
+def test_no_outlier_has_more_than_a_say() -> None:
+    plain = walked(Legs(MotionNoise()), np.ones(2), 60, np.random.default_rng(2))
+    wild = walked(Legs(MotionNoise()), np.ones(2), 60, np.random.default_rng(2), wild=20)
+    assert (wild < 3.0 * plain).all()
+
+
+def test_noise_that_is_known_is_left_alone() -> None:
+    np.testing.assert_array_equal(walked(Legs(KNOWN_NOISE), np.full(2, 9.0), 20, np.random.default_rng(3)), 1.0)
+
+
+def test_where_nothing_is_known_the_noise_is_thought_to_be_what_it_is_on_the_average() -> None:
+    np.testing.assert_allclose(Legs(MotionNoise(log_scale_sigma=1.0)).scales, np.exp(0.5))
+
+
+def held() -> HeldVelocity:
+    motion = HeldVelocity(KNOWN_NOISE)
+    for tick, velocity in enumerate([[0.5, 0.0, 0.0], [0.1, 0.2, 1.0], [0.3, 0.0, -0.5]]):
+        motion.advance(ns(0.1 * tick))
+        motion.hold(Odometry(ns(0.1 * tick), np.array(velocity)))
+    motion.advance(ns(0.25))
+    return motion
+
+
+def test_what_was_held_is_remembered_for_a_second() -> None:
+    motion = held()
+    np.testing.assert_allclose(motion.before(0.0), [0.3, 0.0, -0.5])
+    np.testing.assert_allclose(motion.before(0.1), [0.1, 0.2, 1.0])
+    np.testing.assert_allclose(motion.before(0.9), [0.5, 0.0, 0.0])
+    np.testing.assert_allclose(motion.recent(0.0), [0.3, 0.0, -0.5])
+    np.testing.assert_allclose(motion.recent(0.05), [0.3, 0.0, -0.5])
+    np.testing.assert_allclose(motion.recent(0.1), [0.2, 0.1, 0.25])
+    np.testing.assert_allclose(motion.recent(0.25), [0.3, 0.08, 0.3])
+
+
+def test_a_delay_moves_the_robot_later_by_as_much() -> None:
+    late, plain = HeldVelocity(KNOWN_NOISE, 0.3), HeldVelocity(KNOWN_NOISE)
+    poses = [np.zeros(3), np.zeros(3)]
+    for motion, shift_s, which in ((plain, 0.0, 0), (late, 0.3, 1)):
+        motion.advance(0)
+        for tick in range(20):
+            motion.hold(Odometry(ns(0.1 * tick), np.array([0.5, 0.0, np.sin(tick)])))
+            step = motion.advance(ns(0.1 * (tick + 1)))
+            if step is not None:
+                poses[which] = se2.compose(poses[which], step.before_from_after)
+        step = motion.advance(ns(2.0 + shift_s)) if shift_s else None
+        if step is not None:
+            poses[which] = se2.compose(poses[which], step.before_from_after)
+    np.testing.assert_allclose(poses[1], poses[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["now", "sight", "compass"])
+def test_a_view_and_its_derivative_agree(kind: str) -> None:
+    motion = HeldVelocity(KNOWN_NOISE)
+    views = Views(Config(), motion)
+    motion.advance(0)
+    motion.hold(Odometry(0, np.array([0.4, 0.1, 0.8])))
+    motion.advance(ns(1.5))
+    assert views.heard() == pytest.approx(Calibration().odometry_delay_sigma_s ** 2)
+    assert views.heard() == 0.0
+    _, known = prior(Config())
+    extra = np.array([0.1, -0.1, 0.05, 0.02, 0.01, -0.02, 0.03, 0.05, 0.12, 0.2])
+
+    def view_of(beside: FloatArray) -> View:
+        if kind == "sight":
+            return views.sight(beside, known)
+        return views.now(beside) if kind == "now" else views.compass(beside)
+
+    view, pose = view_of(extra), np.array([1.0, 2.0, 0.5])
+
+    def about(beside: FloatArray) -> FloatArray:
+        return se2.local(view.of(pose, extra), view_of(beside).of(pose, beside))
+
+    places = [LATE - 5, LATE - 4, LATE - 3, EXTRA - 1]
+    numeric = central_difference(about, extra)[:, places]
+    # first order in a twist of 0.1 rad
+    np.testing.assert_allclose(view.by_state[:, 3:][:, places], numeric, atol=0.06)
+    np.testing.assert_allclose(view.back(view.of(pose, extra), extra), pose, atol=1e-12)
+    covariance = np.diag([0.1, 0.2, 0.05])
+    np.testing.assert_allclose(
+        view.covariance(view.of_state(covariance, np.eye(EXTRA) * 0.01)), covariance + 2.0 * view.chance, atol=1e-12
+    )
