@@ -21,13 +21,14 @@ _GAMMA = 2.2
 _BLOCKS = 8  # of rows along a post
 _LEAST_BLOCKS = 4  # in which both edges are found
 _MOST_ROWS = 6  # of a block
-_SAMPLES = 40  # across
+_SAMPLES = 34  # across
 _MARGIN = 0.5  # of the width, beside either edge
 _MARGIN_PX = 3.5, 7.0
 _END = 0.04  # of the length at either end, where crossbar and foot begin
 _SHAPE = 0.5  # of what it matters that a round post is not of one light all over, as an error
 _TUNING = 2.5  # of Cauchy's weights, in standard deviations
-_LIGHT = (255.0 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
+LIGHT = (255.0 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
+"""(256,) light by a picture's numbers, both from 0 to 255, as most cameras have it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +113,7 @@ def _between_pixels(picture: UInt8Array, u: FloatArray, v: FloatArray) -> FloatA
     part = picture[top : int(v.max()) + 3, left : int(u.max()) + 3]
     columns = (u - left).astype(np.float32)
     rows = np.broadcast_to((v - top).astype(np.float32)[:, None], u.shape)
-    both = part.astype(np.float32), _LIGHT[part]
+    both = part.astype(np.float32), LIGHT[part]
     return np.stack([cv2.remap(one, columns, rows, cv2.INTER_LINEAR) for one in both], axis=2).astype(np.float64)
 
 

@@ -15,8 +15,8 @@ _STEEPER = 0.05  # sideways per downwards, one edge than the other
 _LEAST_OVERLAP = 0.5  # of the shorter edge
 _LEAST_ROWS_PX = 8.0
 _PLACES = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # across the inside
-_HEIGHTS = np.linspace(0.1, 0.9, 9)  # along what both edges share
-_MOST = 40  # pairs go on, the clearest first
+_HEIGHTS = np.linspace(0.1, 0.9, 7)  # along what both edges share
+_MOST = 28  # pairs go on, the clearest first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +79,7 @@ def _standing(edges: Edges, turf: Turf) -> Edges:
     v = edges.rows[:, 1:] + np.array([0.0, 0.25, 0.5, 1.0]) * np.maximum(length, 8.0)[:, None] + 3.0
     u = edges.lines[:, :1] + edges.lines[:, 1:] * v
     on_turf: Mask = np.zeros(len(length), dtype=np.bool_)
-    for aside in (-6.0, 0.0, 6.0):
+    for aside in (-5.0, 5.0):
         on_turf |= turf.at(np.stack([u + aside, v], axis=-1)).any(axis=1)
     return Edges(edges.lines[on_turf], edges.rows[on_turf])
 

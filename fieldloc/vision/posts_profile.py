@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from fieldloc.pose import FloatArray
 from fieldloc.vision.turf import Mask
 
-_ITERATIONS = 6
+_ITERATIONS = 5
 _BLUR_PX = 0.4, 4.0  # standard deviations that a fit may come to
 _FARTHEST_PX = 3.0  # an edge, from where it was thought to be
 _DAMPING = 1e-3

@@ -18,7 +18,7 @@ from fieldloc.vision.posts_colour import View
 from fieldloc.vision.posts_pairs import Strips
 from fieldloc.vision.turf import Mask, Turf
 
-_SAMPLES = 72  # along a strip and what may be above and below it
+_SAMPLES = 56  # along a strip and what may be above and below it
 _REACH = 1.5, 9.0  # up and down from the strip, in its lengths and its widths
 _GAP = 0.15  # of a strip's length that may be hidden within it
 _SLIMMEST, _STOUTEST = 24.0, 4.2  # height by width, of tall goals and of low ones seen from above
@@ -109,11 +109,18 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
 
 
 def alike(uprights: list[Upright]) -> list[Upright]:
-    """Best first, without those that are much slimmer or stouter than the clearest: posts of a field are alike."""
-    if not uprights:
-        return []
-    clearest = max(uprights, key=lambda upright: upright.score * np.sqrt(upright.width_px))
-    kept = [one for one in uprights if one.cut or 1 / _UNLIKE < one.slimness / clearest.slimness < _UNLIKE]
+    """Best first, without those that are much slimmer or stouter than most: posts of a field are alike.
+
+    Wide ones count more, as what is seen of them is surer; of those that the picture's border cuts nothing is known.
+    """
+    whole = [one for one in uprights if not one.cut]
+    if not whole:
+        return sorted(uprights, key=lambda upright: -upright.score)
+    slimness = np.array([one.slimness for one in whole])
+    weight = np.array([one.score * np.sqrt(one.width_px) for one in whole])
+    same = np.abs(np.log(slimness[:, None] / slimness)) < np.log(_UNLIKE)
+    usual = slimness[int(np.argmax(same @ weight + weight))]
+    kept = [one for one in uprights if one.cut or 1 / _UNLIKE < one.slimness / usual < _UNLIKE]
     return sorted(kept, key=lambda upright: -upright.score)
 
 
@@ -172,7 +179,7 @@ def _ends(strips: Strips, view: View, turf: Turf, own: FloatArray) -> tuple[Floa
     start = np.abs(v - strips.rows.mean(axis=1)[:, None]).argmin(axis=1)
     foot_v = np.take_along_axis(v, _reached(lower, start, gap, 1)[:, None], axis=1)[:, 0]
     tops = [np.take_along_axis(v, _reached(side, start, gap, -1)[:, None], axis=1)[:, 0] for side in upper]
-    fine = np.linspace(-1.0, 1.0, 17)
+    fine = np.linspace(-1.0, 1.0, 11)
     for n, top in enumerate(tops):
         near = np.maximum(top[:, None] + fine * step[:, None], 0.0)
         off = ~_seen(strips, near, view, own)[0][n]
