@@ -10,6 +10,7 @@ from fieldloc.vision.chains import chains_of, parts
 from fieldloc.vision.circle import find_ellipse
 from fieldloc.vision.corners import find_corners
 from fieldloc.vision.detections import Detections
+from fieldloc.vision.edge_pairs import edge_pairs
 from fieldloc.vision.lines import fit_lines
 from fieldloc.vision.marks import find_marks
 from fieldloc.vision.picture import UInt8Array
@@ -45,9 +46,13 @@ def detect(
     # Brightness, as cameras and JPEG keep colours at half the resolution.
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     circle = found and trace(grey, found[0], np.concatenate(parts(chains, found[1], True)), plane, settings)
-    rest = parts(chains, found[1], False) if found and circle else chains
     posts = find_posts(picture, turf, colours, camera)
-    lines = fit_lines(grey, merged(straight_pieces(rest, 0.6 * settings.least_length_px)), plane, turf, settings)
+    if settings.finder == "runs":
+        rest = parts(chains, found[1], False) if found and circle else chains
+        pieces = straight_pieces(rest, 0.6 * settings.least_length_px)
+    else:
+        pieces = edge_pairs(grey, turf, found[0] if found and circle else None, plane, settings)
+    lines = fit_lines(grey, merged(pieces), plane, turf, settings)
     lines = sort_out(lines, circle, posts, grey, turf)
     return Detections(
         width,
