@@ -171,13 +171,17 @@ def _ends(strips: Strips, view: View, turf: Turf, own: FloatArray) -> tuple[Floa
     upper, middle = _seen(strips, v, view, own)
     # in light and in shade a post keeps its hue, and so does turf
     hue, own_hue, turf_hue = _hue(middle), _hue(own)[:, None], _hue(turf.colour)
-    lower = _total(np.abs(hue - own_hue)) < _total(np.abs(hue - turf_hue))
-    lower &= _total(middle) > _DARKEST * _total(own)[:, None]
-    lower &= ~turf.at(np.stack([0.5 * (strips.left_at(v) + strips.right_at(v)), v], axis=-1))
+    grassy = _total(np.abs(hue - own_hue)) >= _total(np.abs(hue - turf_hue))
+    grassy |= turf.at(np.stack([0.5 * (strips.left_at(v) + strips.right_at(v)), v], axis=-1))
+    lower = ~grassy & (_total(middle) > _DARKEST * _total(own)[:, None])
     step = np.maximum(v[:, 1] - v[:, 0], 1e-9)
     gap = np.maximum(1, np.round(np.maximum(_GAP * length, 3.0) / step)).astype(np.intp)
     start = np.abs(v - strips.rows.mean(axis=1)[:, None]).argmin(axis=1)
-    foot_v = np.take_along_axis(v, _reached(lower, start, gap, 1)[:, None], axis=1)[:, 0]
+    # another thing may hide a part of a post, but never turf
+    below = np.arange(_SAMPLES) > start[:, None]
+    ground = np.where(below & grassy, np.arange(_SAMPLES), _SAMPLES).min(axis=1) - 1
+    foot = np.minimum(_reached(lower, start, gap, 1), np.maximum(ground, start))
+    foot_v = np.take_along_axis(v, foot[:, None], axis=1)[:, 0]
     tops = [np.take_along_axis(v, _reached(side, start, gap, -1)[:, None], axis=1)[:, 0] for side in upper]
     fine = np.linspace(-1.0, 1.0, 11)
     for n, top in enumerate(tops):
