@@ -23,7 +23,8 @@ _LEAST_BLOCKS = 4  # in which both edges are found
 _MOST_ROWS = 6  # of a block
 _SAMPLES = 34  # across
 _MARGIN = 0.5  # of the width, beside either edge
-_MARGIN_PX = 3.5, 7.0
+_MARGIN_PX = 3.5, 12.0
+_INSIDE_PX = 1.5  # what must be seen beside an edge; beyond the picture its border goes on
 _END = 0.04  # of the length at either end, where crossbar and foot begin
 _SHAPE = 0.5  # of what it matters that a round post is not of one light all over, as an error
 _TUNING = 2.5  # of Cauchy's weights, in standard deviations
@@ -99,7 +100,8 @@ def _sample(picture: UInt8Array, post: RoughPost) -> _Sampled | None:
     beside = float(np.clip(_MARGIN * width, *_MARGIN_PX))
     at = np.linspace(-0.5 * width - beside, 0.5 * width + beside, _SAMPLES)
     u = middle[:, None] + scale[:, None] * at
-    if u.min() < 0 or u.max() > columns - 1:
+    half = 0.5 * scale * width
+    if (middle - half).min() < _INSIDE_PX or (middle + half).max() > columns - 1 - _INSIDE_PX:
         return None
     numbers = _between_pixels(picture, u, v).reshape(_BLOCKS, -1, _SAMPLES, 2, 3).mean(axis=1)
     values = [numbers[:, :, n] @ _direction(numbers[:, :, n], at, width) for n in (0, 1, 0)]
@@ -110,11 +112,13 @@ def _sample(picture: UInt8Array, post: RoughPost) -> _Sampled | None:
 def _between_pixels(picture: UInt8Array, u: FloatArray, v: FloatArray) -> FloatArray:
     """(rows, samples, 2, 3): the picture's numbers and the light they stand for, at points between pixels."""
     top, left = max(0, int(v.min()) - 1), max(0, int(u.min()) - 1)
-    part = picture[top : int(v.max()) + 3, left : int(u.max()) + 3]
+    part = picture[top : int(v.max()) + 3, left : max(0, int(u.max())) + 3]
     columns = (u - left).astype(np.float32)
     rows = np.broadcast_to((v - top).astype(np.float32)[:, None], u.shape)
     both = part.astype(np.float32), LIGHT[part]
-    return np.stack([cv2.remap(one, columns, rows, cv2.INTER_LINEAR) for one in both], axis=2).astype(np.float64)
+    return np.stack(
+        [cv2.remap(one, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for one in both], axis=2
+    ).astype(np.float64)
 
 
 def _direction(numbers: FloatArray, at: FloatArray, width: float) -> FloatArray:

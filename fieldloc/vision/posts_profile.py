@@ -20,7 +20,7 @@ from fieldloc.vision.turf import Mask
 
 _ITERATIONS = 5
 _BLUR_PX = 0.4, 4.0  # standard deviations that a fit may come to
-_FARTHEST_PX = 3.0  # an edge, from where it was thought to be
+_FARTHEST_PX, _FARTHEST = 3.0, 0.3  # an edge, from where it was thought to be; by the width of wide posts
 _DAMPING = 1e-3
 _UNKNOWNS = 8  # left, right, blur; both backgrounds; 1, x and x^2 inside
 
@@ -42,6 +42,7 @@ def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Ma
     half = 0.5 * width[:, None]
     state = np.concatenate([-half, half, np.ones_like(half)], axis=1)
     place = at / half
+    reach = np.maximum(_FARTHEST_PX, 2.0 * _FARTHEST * half)
     free = np.ones((len(values), _UNKNOWNS))
     free[flat, 6:] = 0.0
     linear = np.zeros((len(values), 5))
@@ -62,13 +63,13 @@ def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Ma
         diagonal = np.diagonal(system, axis1=1, axis2=2)
         damped = system + np.eye(_UNKNOWNS) * (_DAMPING * diagonal + 1e-6)[..., None]
         change = np.linalg.solve(damped, weighted @ residual[..., None])[..., 0] * free
-        state = state + np.clip(change[:, :3], -1.0, 1.0)
+        state = state + np.clip(change[:, :3], -reach / 3.0, reach / 3.0)
         state[:, 2] = np.clip(state[:, 2], *_BLUR_PX)
         linear = linear + change[:, 3:]
     noise = (weight * residual**2).sum(axis=1) / np.maximum(weight.sum(axis=1) - _UNKNOWNS, 1.0)
     inverse = np.linalg.inv(system + np.eye(_UNKNOWNS) * (1e-6 * diagonal + 1e-9)[..., None])
     variance = np.diagonal(inverse, axis1=1, axis2=2)[:, :2] * noise[:, None]
-    near = (np.abs(state[:, :2] - np.concatenate([-half, half], axis=1)) < _FARTHEST_PX).all(axis=1)
+    near = (np.abs(state[:, :2] - np.concatenate([-half, half], axis=1)) < reach).all(axis=1)
     good = near & np.isfinite(variance).all(axis=1) & (variance > 0.0).all(axis=1) & (state[:, 1] > state[:, 0])
     return Profiles(state[:, :2], variance, good)
 
