@@ -13,7 +13,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.turf import Mask
 
-_SAMPLES = 41  # of a profile
+_SAMPLES = 33  # of a profile
 _MARGIN_PX = 3.0  # of turf on either side, beside a share of the width
 _BRIGHTER = 0.3  # of the way from the turf to the white
 _SMOOTHED = 3  # neighbouring profiles are averaged, as grass is rougher than the pixels

@@ -47,10 +47,10 @@ class Turf:
     def at(self, points_px: FloatArray) -> Mask:
         """(...,) whether points (..., 2) of the picture have the turf's colour; False beside the picture."""
         height, width = self.mask.shape
-        grid = np.floor((np.nan_to_num(points_px, nan=-9.0) + 0.5) / self.scale).astype(np.intp)
-        inside = (grid >= 0).all(axis=-1) & (grid < (width, height)).all(axis=-1)
-        grid = np.clip(grid, 0, (width - 1, height - 1))
-        return np.asarray(self.mask[grid[..., 1], grid[..., 0]] & inside, dtype=np.bool_)
+        u, v = (points_px[..., 0] + 0.5) / self.scale[0], (points_px[..., 1] + 0.5) / self.scale[1]
+        inside = (u >= 0.0) & (u < width) & (v >= 0.0) & (v < height)  # NaN is nowhere
+        column, row = np.where(inside, u, 0.0).astype(np.intp), np.where(inside, v, 0.0).astype(np.intp)
+        return np.asarray(self.mask[row, column] & inside, dtype=np.bool_)
 
     def below_px(self, points_px: FloatArray) -> FloatArray:
         """(...,) how far below the field's upper border points (..., 2) are; negative above, -inf without a field."""

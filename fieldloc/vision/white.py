@@ -24,6 +24,7 @@ _WIDE_SHARE, _NEAR_SHARE = 10, 32  # windows for the turf around a pixel are suc
 _LEAST_SHARE = 0.25  # of the near window in turf, for it to count
 _CLIP = 1.5  # what is farther from the mean than so many standard deviations is no turf
 _CLIPPED = 1.35  # a normal distribution's standard deviation to that of its part within _CLIP
+_BEYOND_PX = np.array([1.5, 3.5, 6.0])
 _COLOUR_STEP = 0.8  # of blue and red to that of green: about 0.5 from shade to sun, above 1 from turf to white
 
 
@@ -165,11 +166,10 @@ def _turf_beyond(
     turf: Turf, at_px: FloatArray, border_px: FloatArray, sign: float, width: FloatArray, down: bool
 ) -> Mask:
     """Whether there is turf beyond a run's end; a thin line's halo in the compressed colours reaches some pixels."""
-    found = np.zeros(len(at_px), dtype=np.bool_)
-    for away in (1.5, 3.5, 6.0):
-        place = border_px + sign * (away + 0.15 * width)
-        found |= turf.at(np.stack([at_px, place] if down else [place, at_px], axis=1))
-    return found
+    place = border_px + sign * (_BEYOND_PX[:, None] + 0.15 * width)
+    points = np.empty((*place.shape, 2))
+    points[..., 0 if down else 1], points[..., 1 if down else 0] = at_px, place
+    return np.asarray(turf.at(points).any(axis=0))
 
 
 def _beyond(
