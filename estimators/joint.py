@@ -1,10 +1,11 @@
 """All poses of a log together with the choice for each mixture: solved and chosen in turns until neither changes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimators import chain_engine
 from estimators.chain import Chain, Recorded
 from estimators.compass_knots import at_nodes, knot_s
 from estimators.config import Config
@@ -25,6 +26,7 @@ _POINT = 1e-9 * np.eye(3)
 _ROUGHLY = np.diag([0.1, 0.1, 0.05]) ** 2
 _BELIEVED = 0.3  # share of a compass reading's information below which it is taken for disturbed
 _TIE = 1e-6
+NO_KERNEL = 1e6  # scale, in sigmas, of a robust kernel that does nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +43,20 @@ class Settled:
 
 
 def settle(recorded: Recorded, story: Story, config: Config, near: Solution | None = None) -> Settled:
-    """near: a solution whose poses are the story's."""
+    """near: a solution whose poses are the story's. By the chain engine, as this is done for many stories and often."""
     return _Settling(recorded, story, config).settled(story, near)
+
+
+def without_kernel(config: Config) -> Config:
+    return replace(config, graph=replace(config.graph, cauchy=NO_KERNEL))
+
+
+def finished(settled: Settled, config: Config) -> Settled:
+    """Solved by the engine that the settings name."""
+    if config.graph.engine == "chain":
+        return settled
+    chain = replace(settled.chain, guess=settled.solution.poses)
+    return replace(settled, chain=chain, solution=solver(config)(chain, config, settled.solution))
 
 
 class _Settling:
@@ -59,7 +73,11 @@ class _Settling:
         self._choose(compass, poses, poses, np.broadcast_to(_ROUGHLY, (len(poses), 3, 3)), *self._offsets(None))
         for first in (True, *(_ROUNDS - 1) * (False,)):
             chain = self._recorded.chain(self._choices, story.breaks, poses, self.chosen)
-            near = solver(self._config)(chain, self._config, near)
+            if near is None and self._config.graph.cauchy < NO_KERNEL:
+                # while eyes and odometry are taken to be perfect, what fits badly may be right
+                near = chain_engine.solve(chain, without_kernel(self._config))
+                chain = replace(chain, guess=near.poses)
+            near = chain_engine.solve(chain, self._config, near)
             poses = near.poses
             out = Settled(self._choices.copy(), story.breaks, chain, near, self._margins.copy())
             seen_from = chain.seen_from(near.poses, near.calibration, near.sensor)

@@ -14,7 +14,7 @@ import numpy as np
 from estimators import chain_engine
 from estimators.chain import Chain, Recorded
 from estimators.config import Config
-from estimators.joint import Settled, settle
+from estimators.joint import Settled, finished, settle
 from estimators.motion import Increment
 from estimators.solution import Solution
 from estimators.stretches import Story
@@ -23,6 +23,7 @@ from fieldloc.pose import FloatArray
 
 _LEAST_S = 2e-3  # not worth new motions
 _ROUNDS = 4
+_MOST_SIGMAS = 3.0  # what is more is no delay
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +55,9 @@ def split(delay_s: float, config: Config) -> Lateness:
     eyes, robot = config.sensor.delay_sigma_s**2, config.calibration.odometry_delay_sigma_s**2
     if eyes == 0.0 or robot == 0.0:
         return Lateness(0.0, 0.0)
-    share = robot / (eyes + robot)
-    return Lateness(share * (delay_s - config.sensor.delay_s), float(np.sqrt(share * eyes)))
+    share, most_s = robot / (eyes + robot), _MOST_SIGMAS * float(np.sqrt(eyes + robot))
+    more_s = min(max(delay_s - config.sensor.delay_s, -most_s), most_s)
+    return Lateness(share * more_s, float(np.sqrt(share * eyes)))
 
 
 def found(recorded: Recorded, chain: Chain, breaks: Sequence[int], near: Solution, config: Config) -> Lateness:
@@ -82,7 +84,7 @@ def settled_in_time(recorded: Recorded, story: Story, answer: Settled, config: C
     solution = answer.solution
     lateness = found(recorded, answer.chain, answer.breaks, solution, config)
     story = replace(story, choices=answer.choices, margins=answer.margins, breaks=answer.breaks, poses=solution.poses)
-    out = settle(later(recorded, lateness.late_s), story, config, solution)
+    out = finished(settle(later(recorded, lateness.late_s), story, config, solution), config)
     solution = out.solution
     velocities = out.chain.velocities(np.array(solution.calibration))
     open_ = velocities[:, :, None] * velocities[:, None, :] * lateness.sigma_s**2

@@ -11,17 +11,17 @@ from itertools import pairwise
 
 import numpy as np
 
+from estimators.breaks import was_carried, was_put_back
 from estimators.chain import Recorded
 from estimators.config import Config
 from estimators.copies import Moved
-from estimators.joint import Settled, log_evidence, settle
+from estimators.joint import Settled, finished, log_evidence, settle, without_kernel
 from estimators.lateness import against_odometry, may_be_late, settled_in_time
 from estimators.mixture.lost import Lost
 from estimators.modes import ModeSequence
-from estimators.motion import STANDSTILL
 from estimators.resolved import Resolution
 from estimators.seeds import on_copies, seeds, surest, whole_poses
-from estimators.stretches import NEAR, Story, put_down_ns, stories
+from estimators.stretches import Story, put_down_ns, stories
 from estimators.tracks import Seed, Tracks, follow
 from fieldloc import pose as se2
 from fieldloc.pose import FloatArray
@@ -38,11 +38,9 @@ _MAX_WAYS = 20
 _SURE = 0.5  # probability of a solution, of its mixture alone, from which it is a place to follow
 _ROUNDS = 3
 _PER_ROUND = 4
-_DRIFT_SIGMAS = 3.0
 _PASSED = 25.0  # squared Mahalanobis distance
 _SURELY = np.log(100.0)  # what a break must be likelier by than its rate: evidence at solutions is off by some of that
 _TOLD_WRONG = np.log(0.01)  # that the robot does not start where it was told
-_NO_KERNEL = 1e6  # scale, in sigmas, of a robust kernel that does nothing
 _SPREAD = np.sqrt(3.0) * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 
 
@@ -81,7 +79,7 @@ def resolve(
     ways = _distinct(ways, copy_of, len(copies))
     if not ways:
         return None
-    plain = replace(config, graph=replace(config.graph, cauchy=_NO_KERNEL))
+    plain = without_kernel(config)
     logs = [_on_field(recorded, story, begun) for story in ways]
     settled, evidence = [], []
     for log, story in logs if len(logs) > 1 else ():
@@ -89,7 +87,7 @@ def resolve(
         begins = _log_start(region, anywhere, one.solution.poses[0], one.solution.covariances[0])
         settled.append(one)
         evidence.append(log_evidence(log, one, plain, log_kidnap - _SURELY) + begins)
-    if stayed := [i for i, one in enumerate(settled) if not _put_back(logs[i][0], one)]:
+    if stayed := [i for i, one in enumerate(settled) if not was_put_back(logs[i][0], one)]:
         ways, logs = [ways[i] for i in stayed], [logs[i] for i in stayed]
         settled, evidence = [settled[i] for i in stayed], [evidence[i] for i in stayed]
     best = int(np.argmax(evidence)) if evidence else 0
@@ -101,14 +99,13 @@ def resolve(
             choices=near.choices,
             margins=near.margins,
             poses=near.solution.poses,
-            breaks=tuple(node for node in near.breaks if _carried(log, near, node)),
+            breaks=tuple(node for node in near.breaks if was_carried(log, near, node)),
         )
         answer = settle(log, story, config, near.solution)
     else:
         answer = settle(log, story, config)
         settled, evidence = [answer], [0.0]
-    if late:
-        answer = settled_in_time(log, story, answer, told_config)
+    answer = settled_in_time(log, story, answer, told_config) if late else finished(answer, config)
     stamps_ns = recorded.stamps_ns
     order, log_evidences = _ranked(settled, np.array(evidence), best)
     return Resolution(
@@ -195,36 +192,6 @@ def _distinct(ways: list[Story], copy_of: FloatArray, copies: int) -> list[Story
         else:
             out.append(story)
     return out
-
-
-def _carried(recorded: Recorded, settled: Settled, node: int) -> bool:
-    """Whether the robot was put down farther away than odometry slips and than sights err alike."""
-    apart, _ = _jump(recorded, settled, *recorded.between(settled.choices, node))
-    return bool((np.abs(apart) > NEAR).any())
-
-
-def _put_back(recorded: Recorded, settled: Settled) -> bool:
-    """Whether between two breaks the robot came back to where it would have walked to anyway.
-
-    Nobody carries a robot so: in between, sights erred alike (a label that was misread again and again, a look-alike).
-    """
-    for away, back in pairwise(settled.breaks):
-        before, _ = recorded.between(settled.choices, away)
-        _, after = recorded.between(settled.choices, back)
-        apart, covariance = _jump(recorded, settled, before, after)
-        if (np.abs(apart) < NEAR + _DRIFT_SIGMAS * np.sqrt(np.diagonal(covariance))).all():
-            return True
-    return False
-
-
-def _jump(recorded: Recorded, settled: Settled, before: int, after: int) -> tuple[FloatArray, FloatArray]:
-    """How far (3,) the pose at one node is from where odometry leads from another, and the odometry's covariance."""
-    moved = STANDSTILL
-    for motion in recorded.motions[before:after]:
-        moved = moved.then(motion)
-    moved = moved.calibrated(np.array(settled.solution.calibration))
-    poses = settled.solution.poses
-    return se2.local(se2.compose(poses[before], moved.before_from_after), poses[after]), moved.covariance
 
 
 def _on_field(recorded: Recorded, story: Story, begun: tuple[Seed, ...]) -> tuple[Recorded, Story]:

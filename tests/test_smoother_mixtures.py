@@ -254,3 +254,30 @@ def test_all_solutions_under_a_robust_kernel_from_many_starts_agree(seed: int) -
     # decoys and the odometry's calibration, which only one of the two knows, are the difference
     assert rms(np.hypot(*(best.poses - ours)[:, :2].T)) < 0.1
     assert rms(np.hypot(*(best.poses - truth[:120])[:, :2].T)) < 0.15
+
+
+def test_looking_back_tells_when_it_was_carried_and_of_the_doubts_on_the_way() -> None:
+    smoother, _ = driven(0, carried_at=102, twins=True, compass_from=150)
+    online = smoother.events
+    assert smoother.ambiguities() == ()
+    trajectory = smoother.trajectory()
+    (event,) = smoother.events
+    assert event.kind == "carried"
+    assert abs(event.stamp_ns * 1e-9 - 10.2) <= 0.5
+    past = smoother.ambiguities()
+    assert (past[0].stamp_ns, past[-1].stamp_ns) == (trajectory[0].stamp_ns, trajectory[-1].stamp_ns)
+    now = smoother.ambiguity()
+    assert now is not None
+    assert (past[-1].mirrored, len(past[-1].hypotheses)) == (now.mirrored, len(now.hypotheses))
+    assert max(np.diff([one.stamp_ns for one in past])) < ns(0.7)
+    poses = {estimate.stamp_ns: estimate.pose for estimate in trajectory}
+    for one in past:
+        np.testing.assert_allclose(sum(h.weight for h in one.hypotheses) + one.lost, 1.0, atol=1e-5)
+        np.testing.assert_allclose(one.hypotheses[0].pose, poses[one.stamp_ns], atol=1e-12)
+    # nothing tells the sides apart before it was carried, the compass does thereafter
+    before = [one.mirrored for one in past if one.stamp_ns < event.stamp_ns]
+    np.testing.assert_allclose(before, 0.5, atol=1e-9)
+    assert max(one.mirrored for one in past if one.stamp_ns > event.stamp_ns) < 0.01
+    smoother.predict(Odometry(ns(20.0), np.zeros(3)))
+    assert list(smoother.events) == list(online)
+    assert smoother.ambiguities() == ()
