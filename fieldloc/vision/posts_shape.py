@@ -25,6 +25,7 @@ _SLIMMEST, _STOUTEST = 24.0, 4.2  # height by width, of tall goals and of low on
 _STOUTEST_CUT = 1.3  # where the picture ends above
 _CUT = 0.5  # of a crossbar is what is known of a post whose upper end is beside the picture
 _DARKEST = 0.4  # of its own light that a post keeps in shade
+_LIGHT = 1.0  # of the turf's lightest part: white is lighter than any turf in the same light
 _GREY = 0.56  # the least part of a white post's colour by its largest
 _ON_TURF = 0.6  # of the points beneath and beside the foot
 _WIDEST_GOAL = 3.0  # by its height
@@ -77,7 +78,7 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
     good = (stand >= _ON_TURF) & (foot_v > strips.rows[:, 1] - 0.3 * (strips.rows[:, 1] - strips.rows[:, 0]))
     good &= view.has_hue(own)
     if min(colour) > 127:
-        good &= own.min(axis=1) > np.maximum(_GREY * own.max(axis=1), turf.colour.min() + 5.0)
+        good &= (own.min(axis=1) > _GREY * own.max(axis=1)) & (own.max(axis=1) > _LIGHT * turf.colour.max())
     good &= _flanks(strips, side_tops.min(axis=1), foot_v, turf) < _BESIDE_TOP
     good &= foot_v - side_tops.min(axis=1) > _STOUTEST_CUT * strips.width_px
     strips, own, stand = strips.take(good), own[good], stand[good]
