@@ -2,7 +2,8 @@
 
 Everything is a plane through the camera (a line of the ground; the side of a post) that the rays to a line's or an
 edge's ends should lie in, a point in a direction (a post's foot, a mark), or a circle on the ground. Jacobians are
-those at no error: what the lens and the rays' own turning add is of second order. Columns as in `states`.
+those at no error: what the lens and the rays' own turning add is of second order. Columns as in `states`, and one more
+for a focal length that is longer by a share: all that is seen should then be so much farther out.
 """
 
 from dataclasses import dataclass
@@ -39,9 +40,11 @@ class Cameras:
         flat = vectors.reshape(-1, 3) @ np.swapaxes(self.rotation, 1, 2)
         return np.asarray(flat.reshape(len(self.states), *vectors.shape))
 
-    def columns(self, by_centre: FloatArray, by_turn: FloatArray) -> FloatArray:
-        """(k, ..., 6) from the change with the centre (k, ..., 3), and with a turn about an axis a as a . by_turn."""
-        out = np.empty((*by_centre.shape[:-1], 6))
+    def columns(self, by_centre: FloatArray, by_turn: FloatArray, by_focal: FloatArray) -> FloatArray:
+        """(k, ..., 7) from the change with the centre (k, ..., 3), with a turn about an axis a as a . by_turn, and with
+        the focal length."""
+        out = np.empty((*by_centre.shape[:-1], 7))
+        out[..., 6] = by_focal
         out[..., [0, 1, 3]] = by_centre
         flat = by_turn.reshape(len(self.states), -1, 3) @ np.swapaxes(self.axes, 1, 2)
         out[..., [2, 4, 5]] = flat.reshape(by_turn.shape)
@@ -82,7 +85,7 @@ def all_line_errors(
 def line_errors(
     cameras: Cameras, sight: Sight, shape: Shape, match: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of each seen line to its match (k, l): errors (k, l, 2), Jacobian (k, l, 2, 6), pixels per metre (k, l, 2)."""
+    """Of each seen line to its match (k, l): errors (k, l, 2), Jacobian (k, l, 2, 7), pixels per metre (k, l, 2)."""
     rays, across = cameras.turned(sight.line_rays), cameras.turned(sight.line_across)
     normals = line_normals(cameras, shape)[np.arange(len(match))[:, None], match][:, :, None, :]
     slope = np.sum(across * normals, axis=-1)
@@ -91,7 +94,7 @@ def line_errors(
     direction = np.zeros((*match.shape, 1, 3))
     direction[..., 0, :2] = shape.directions[match]
     scale = slope[..., None]
-    jacobian = cameras.columns(-cross(direction, rays) / scale, cross(rays, normals) / scale)
+    jacobian = cameras.columns(-cross(direction, rays) / scale, cross(rays, normals) / scale, -sight.line_out)
     return np.clip(error, -_FAR_PX, _FAR_PX), jacobian, np.abs(rays[..., 2] / slope)
 
 
@@ -152,7 +155,7 @@ def post_errors(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -
 
 
 def post_jacobians(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -> FloatArray:
-    """(k, p, q, 6, 6) of `post_errors`."""
+    """(k, p, q, 6, 7) of `post_errors`."""
     posts = _Posts.of(cameras, sight, shape, match)
     ahead = posts.rays[..., 0] * posts.x + posts.rays[..., 1] * posts.y
     normal = np.zeros((*posts.x.shape, 3))
@@ -162,8 +165,9 @@ def post_jacobians(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray
     nearer = (_SIDES * (posts.sine / posts.cosine)[..., None])[..., None] * posts.towards[..., None, :]
     by_centre = np.zeros((*posts.x.shape, 3))
     by_centre[..., :2] = (-ahead / posts.slope)[..., None] * (past + nearer) / posts.far[..., None, None]
-    jacobian = np.zeros((*match.shape, 6, 6))
-    jacobian[..., :4, :] = cameras.columns(by_centre, cross(posts.rays, normal) / posts.slope[..., None])
+    jacobian = np.zeros((*match.shape, 6, 7))
+    by_turn = cross(posts.rays, normal) / posts.slope[..., None]
+    jacobian[..., :4, :] = cameras.columns(by_centre, by_turn, -sight.post_out[:, None])
     by_state = point_jacobians(cameras, sight.feet, posts.feet(cameras))
     jacobian[..., 4:, :] = np.where(sight.feet.known[:, None, None, None], by_state, 0.0)
     return jacobian
@@ -178,11 +182,11 @@ def point_errors(cameras: Cameras, points: Points, away: FloatArray) -> tuple[Fl
 
 
 def point_jacobians(cameras: Cameras, points: Points, away: FloatArray) -> FloatArray:
-    """(k, n, q, 2, 6) of `point_errors`."""
+    """(k, n, q, 2, 7) of `point_errors`."""
     along, _, in_field = _seen_points(cameras, points, away)
     scaled = in_field / along[..., None, None]
     # scaled . (a x away) = a . (away x scaled), and the point turns back where the camera turns on
-    return cameras.columns(-scaled, -cross(away[..., None, :], scaled))
+    return cameras.columns(-scaled, -cross(away[..., None, :], scaled), points.out[:, None])
 
 
 def _seen_points(
@@ -195,7 +199,7 @@ def _seen_points(
 
 
 def circle_errors(cameras: Cameras, sight: Sight, circle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of the circle's points to a circle (3,) of the map: errors (k, c), Jacobian (k, c, 6), pixels per metre (k, c);
+    """Of the circle's points to a circle (3,) of the map: errors (k, c), Jacobian (k, c, 7), pixels per metre (k, c);
     what is above the horizon is off by far."""
     rays = cameras.turned(sight.circle_rays)
     down = -rays[..., 2]
@@ -216,6 +220,7 @@ def circle_errors(cameras: Cameras, sight: Sight, circle: FloatArray) -> tuple[F
     scale = np.maximum(np.hypot(slope[..., 0], slope[..., 1]), _TINY)
     by_centre = np.empty_like(rays)
     by_centre[..., :2], by_centre[..., 2] = radial, outward
-    jacobian = cameras.columns(by_centre / scale[..., None], cross(rays, by_ray) / scale[..., None])
+    by_focal = -np.einsum("kcp,cp->kc", slope, sight.circle_out) / scale
+    jacobian = cameras.columns(by_centre / scale[..., None], cross(rays, by_ray) / scale[..., None], by_focal)
     error = np.where(below, np.clip((far - circle[2]) / scale, -_FAR_PX, _FAR_PX), _FAR_PX)
     return error, np.where(below[..., None], jacobian, 0.0), 1.0 / scale

@@ -20,9 +20,9 @@ from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import Detections
 
 _ROUGH_PX = 12.0  # by how much candidates are off
-_ANNEALED_PX = (12.0, 4.0, 1.0)  # by how much they may be off, step by step
-_SHARPER = 0.1
-_LAST_STEPS = 1
+_ANNEALED_PX = (10.0, 4.0, 1.0)  # by how much they may be off, step by step
+_SHARPER = 0.25
+_LAST_STEPS = 2
 _MARGINS = (14.0, 20.0)  # so much worse than the best is hopeless, among candidates and among refined states
 _NEGLIGIBLE = 1e-4
 
@@ -59,7 +59,7 @@ def _refined(task: Task, states: FloatArray) -> FloatArray:
         states, matches = states[rows], matches.take(rows)
         # who is who is seen with tolerance, but where that is weighs against the prior as it will in the end
         sharp = task.noise(_SHARPER * widen_px)
-        states = stepped(states, linearise(Cameras.at(states), sharp, matches, task.prior, robust=False))
+        states = stepped(states, linearise(Cameras.at(states), sharp, matches, task.prior))
     for _ in range(_LAST_STEPS):
         matches, scores = task.matched(states)
         rows = task.best(states, scores, task.settings.hypotheses, _MARGINS[1])

@@ -18,11 +18,13 @@ _ROBUST = 9.0  # chi2 per number from which a thing counts less and less
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """information: (k, 6, 6), gradient: (k, 6) at the states. prior: (k,) chi2 of the prior. numbers: (k,) of what is
+    """information: (k, 6, 6), gradient: (k, 6) at the states; by_focal: (k, 6) the gradient's change with the focal
+    length, as a share of it. prior: (k,) chi2 of the prior. numbers: (k,) of what is
     matched."""
 
     information: FloatArray
     gradient: FloatArray
+    by_focal: FloatArray
     prior: FloatArray
     numbers: FloatArray
 
@@ -30,19 +32,19 @@ class Step:
 def linearise(cameras: Cameras, noise: Noise, matches: Matches, prior: CameraPrior, robust: bool = True) -> Step:
     sight, shape = noise.sight, noise.shape
     count = len(cameras.states)
-    white: list[FloatArray] = []  # Jacobians (k, n, 6) and errors (k, n) of numbers that are independent
+    white: list[FloatArray] = []  # Jacobians (k, n, 7) and errors (k, n) of numbers that are independent
     errors: list[FloatArray] = []
     numbers = np.zeros(count)
 
     def add(error: FloatArray, jacobian: FloatArray, used: FloatArray, size: FloatArray) -> None:
-        """Whitened things (k, n, m) and (k, n, m, 6); used (k, n) is one where they count; size (n,) of numbers."""
+        """Whitened things (k, n, m) and (k, n, m, 7); used (k, n) is one where they count; size (n,) of numbers."""
         nonlocal numbers
         share = used
         if robust:
             chi2 = np.einsum("knm,knm->kn", error, error)
             share = used / np.sqrt(1.0 + np.maximum(chi2 / size - _ROBUST, 0.0) / _ROBUST)
         errors.append((error * share[..., None]).reshape(count, -1))
-        white.append((jacobian * share[..., None, None]).reshape(count, -1, 6))
+        white.append((jacobian * share[..., None, None]).reshape(count, -1, 7))
         numbers = numbers + used @ size
 
     used = (matches.lines >= 0).astype(np.float64)
@@ -82,16 +84,18 @@ def linearise(cameras: Cameras, noise: Noise, matches: Matches, prior: CameraPri
 
     off = cameras.states[:, 3:] - prior.mean
     pulled = off @ prior.precision
-    information, gradient = np.zeros((count, 6, 6)), np.zeros((count, 6))
+    information, gradient, by_focal = np.zeros((count, 6, 6)), np.zeros((count, 6)), np.zeros((count, 6))
     information[:, 3:, 3:] = prior.precision
     information[:, [0, 1, 2], [0, 1, 2]] = _ANYWHERE**-2.0
     gradient[:, 3:] = pulled
     if white:
         rows, residuals = np.concatenate(white, axis=1), np.concatenate(errors, axis=1)
         across = np.swapaxes(rows, 1, 2)
-        information += across @ rows
-        gradient += (across @ residuals[..., None])[..., 0]
-    return Step(information, gradient, np.einsum("ki,ki->k", off, pulled), numbers)
+        squares, pull = across @ rows, (across @ residuals[..., None])[..., 0]
+        information += squares[:, :6, :6]
+        gradient += pull[:, :6]
+        by_focal = squares[:, :6, 6]
+    return Step(information, gradient, by_focal, np.einsum("ki,ki->k", off, pulled), numbers)
 
 
 def stepped(states: FloatArray, step: Step) -> FloatArray:

@@ -17,7 +17,9 @@ from fieldloc.locate.refine import linearise, stepped
 from fieldloc.locate.task import Task
 from fieldloc.pose import FloatArray
 
-_AMOUNTS = np.array([0.003, 0.03, 0.2, 1.0, 5.0])  # of the model's noise, as variances
+_AMOUNTS = np.array([0.001, 0.02, 0.2, 1.0, 5.0])  # of the model's noise, as variances,
+_LOG_OFTEN = np.log(np.array([0.35, 0.28, 0.19, 0.12, 0.06]))  # and how often that much is met
+_HIDDEN = 2.0  # a fit hides a part of what it is off
 _LEAST_NUMBERS = 4  # of a pose, height and attitude known somewhat
 _UNKNOWN = np.array([1.5, 1.5, 0.5])  # standard deviations of what is no pose any more
 _MARGIN = 25.0  # so much less evidence than the best is none
@@ -48,7 +50,7 @@ def settle(task: Task, states: FloatArray) -> Settled:
     covariances = np.linalg.inv(step.information)
     log_prior = 0.5 * np.linalg.slogdet(prior.precision)[1] - 1.5 * _LOG_2PI - 0.5 * step.prior
     log_volume = 3.0 * _LOG_2PI - 0.5 * np.linalg.slogdet(step.information)[1]
-    logs = matches.gains + log_prior + log_volume - np.log(shape.area_m2 * 2.0 * np.pi) - np.log(amounts)
+    logs = matches.gains + log_prior + log_volume - np.log(shape.area_m2 * 2.0 * np.pi) + np.tile(_LOG_OFTEN, count)
     xy = fitted[:, :2]
     possible = ((xy > shape.box[:2]) & (xy < shape.box[2:])).all(axis=1) & (step.numbers >= _LEAST_NUMBERS)
     logs = np.where(possible, logs, -np.inf).reshape(count, amounts)
@@ -59,6 +61,13 @@ def settle(task: Task, states: FloatArray) -> Settled:
     off[..., [2, 5]] = se2.wrap(off[..., [2, 5]])
     second = covariances.reshape(count, amounts, 6, 6) + off[..., None] * off[..., None, :]
     covariance = np.einsum("ks,ksij->kij", shares, second)
+    # a lens and a map that fit in all that residuals show are right in what they do not show, too
+    systematic = np.minimum(_HIDDEN * np.exp(shares @ np.log(_AMOUNTS)), 1.0)
+    # an error of the focal length moves the fit
+    by_focal = (covariances @ step.by_focal[..., None])[rows] * (settings.focal * systematic)[:, None, None]
+    covariance = covariance + by_focal @ np.swapaxes(by_focal, 1, 2)
+    # what is near each other on the map is off it together, so no place is known better than the map
+    covariance[:, [0, 1], [0, 1]] += ((systematic * settings.map_m) ** 2)[:, None]
     known = (covariance[:, [0, 1, 2], [0, 1, 2]] < _UNKNOWN**2).all(axis=1)
     log_evidence = np.where(known, log_evidence, -np.inf)
     good = np.flatnonzero(log_evidence > max(float(log_evidence.max()) - _MARGIN, -1e9))

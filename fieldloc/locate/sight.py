@@ -24,29 +24,32 @@ _LEAST_PX2 = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """rays (n, 3), by_ray (n, 2, 3) change of the pixel with the ray, noise (n, 2, 2) px^2, known (n,) whether seen."""
+    """rays (n, 3), by_ray (n, 2, 3) change of the pixel with the ray, noise (n, 2, 2) px^2, known (n,) whether seen;
+    out (n, 2) px from the camera's principal point."""
 
     rays: FloatArray
+    out: FloatArray
     by_ray: FloatArray
     noise: FloatArray
     known: Mask
 
     def take(self, rows: Mask) -> "Points":
-        return Points(self.rays[rows], self.by_ray[rows], self.noise[rows], self.known[rows])
+        return Points(self.rays[rows], self.out[rows], self.by_ray[rows], self.noise[rows], self.known[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
     """Lines: line_rays, line_across (l, 2, 3); line_noise (l, 2, 2) px^2 of both ends across it; line_lengths (l,) px;
     widths, width_sigmas (l, 2) px, NaN where not known. line_rows: (l,) of the detections.
-    Posts: post_rays, post_across (p, 4, 3) of left upper, left lower, right upper, right lower end; post_noise
-    (p, 4, 4); post_widths: (p,) px. Their feet and tops, p of each. post_rows: (p,).
-    Circle, the largest: circle_rays (c, 3), circle_by_pixel (c, 3, 2), circle_sigmas (c,).
+    Posts: post_rays, post_across (p, 4, 3), post_out (p, 4) of left upper, left lower, right upper, right lower end;
+    post_noise (p, 4, 4); post_widths: (p,) px. Their feet and tops, p of each. post_rows: (p,).
+    Circle, the largest: circle_rays (c, 3), circle_by_pixel (c, 3, 2), circle_out (c, 2), circle_sigmas (c,).
     """
 
     camera: Camera
     line_rays: FloatArray
     line_across: FloatArray
+    line_out: FloatArray
     line_noise: FloatArray
     line_lengths: FloatArray
     widths: FloatArray
@@ -54,6 +57,7 @@ class Sight:
     line_rows: NDArray[np.intp]
     post_rays: FloatArray
     post_across: FloatArray
+    post_out: FloatArray
     post_noise: FloatArray
     post_widths: FloatArray
     feet: Points
@@ -61,6 +65,7 @@ class Sight:
     post_rows: NDArray[np.intp]
     circle_rays: FloatArray
     circle_by_pixel: FloatArray
+    circle_out: FloatArray
     circle_sigmas: FloatArray
     marks: Points
 
@@ -78,14 +83,16 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
     )
     posts = [detections.posts[i] for i in post_rows]
     ends = np.array([line.ends_px for line in lines], dtype=np.float64).reshape(-1, 2, 2)
-    line_rays, line_across, line_noise, good = _edges(camera, ends, [line.covariance_px2 for line in lines])
+    line_rays, line_across, line_out, line_noise, good = _edges(camera, ends, [line.covariance_px2 for line in lines])
     widths, width_sigmas = _widths(lines)
     of_posts = np.array([[post.left_px, post.right_px] for post in posts], dtype=np.float64).reshape(-1, 4, 2)
-    post_rays, post_across, post_noise, stands = _edges(camera, of_posts, [post.covariance_px2 for post in posts])
+    post_rays, post_across, post_out, post_noise, stands = _edges(
+        camera, of_posts, [post.covariance_px2 for post in posts]
+    )
     feet = _points(camera, [(post.foot_px, post.foot_covariance_px2) for post in posts])
     tops = _points(camera, [(post.top_px, post.top_covariance_px2) for post in posts])
     circle = max(detections.circles, key=lambda one: len(one.points_px), default=None)
-    circle_rays, circle_by_pixel, circle_sigmas = _circle(camera, circle)
+    circle_rays, circle_by_pixel, circle_out, circle_sigmas = _circle(camera, circle)
     marks = _points(camera, [(mark.centre_px, mark.covariance_px2) for mark in detections.marks])
     lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     focal_px = 0.5 * (camera.fx_px + camera.fy_px)
@@ -93,6 +100,7 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
         camera,
         line_rays[good],
         line_across[good],
+        line_out[good],
         line_noise[good],
         lengths[good],
         widths[good],
@@ -100,6 +108,7 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
         line_rows[good],
         post_rays[stands],
         post_across[stands],
+        post_out[stands],
         post_noise[stands],
         focal_px * np.linalg.norm(post_rays[stands, :2].mean(axis=1) - post_rays[stands, 2:].mean(axis=1), axis=-1),
         feet.take(stands),
@@ -107,6 +116,7 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
         post_rows[stands],
         circle_rays,
         circle_by_pixel,
+        circle_out,
         circle_sigmas,
         marks.take(marks.known),
     )
@@ -124,8 +134,9 @@ def _longest(lengths: list[float], most: int, least: float) -> NDArray[np.intp]:
 
 def _edges(
     camera: Camera, ends: FloatArray, covariances: list[FloatArray]
-) -> tuple[FloatArray, FloatArray, FloatArray, Mask]:
-    """Rays and their change across (n, e, 3) of segments with ends (n, e, 2), two and two; noise (n, e, e); mask."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Mask]:
+    """Of segments with ends (n, e, 2), two and two: rays and their change across (n, e, 3); how far out from the
+    principal point they are, across (n, e) px; noise (n, e, e); which are good (n,)."""
     count, size = ends.shape[:2]
     rays, by_pixel, exist = camera.ray_and_jacobian(ends)
     along = ends[:, 1::2] - ends[:, 0::2]
@@ -138,7 +149,8 @@ def _edges(
     noise = noise + _LEAST_PX2 * np.eye(size)
     good = exist.all(axis=1) & np.isfinite(noise).all(axis=(1, 2)) & np.isfinite(across).all(axis=(1, 2))
     good[good] = np.linalg.eigvalsh(noise[good])[:, 0] > 0.0
-    return rays, across, noise, good
+    out = np.sum((ends - _centre(camera)) * normal, axis=-1)
+    return rays, across, out, noise, good
 
 
 def _widths(lines: list[SeenLine]) -> tuple[FloatArray, FloatArray]:
@@ -156,19 +168,24 @@ def _points(camera: Camera, points: list[tuple[FloatArray | None, FloatArray | N
         if pixel is not None and covariance is not None and np.isfinite(pixel).all() and np.isfinite(covariance).all():
             pixels[i], noise[i], known[i] = pixel, covariance + _LEAST_PX2 * np.eye(2), True
     if not known.any():
-        return Points(np.tile([0.0, 0.0, 1.0], (count, 1)), np.zeros((count, 2, 3)), noise, known)
+        ahead = np.tile([0.0, 0.0, 1.0], (count, 1))
+        return Points(ahead, np.zeros((count, 2)), np.zeros((count, 2, 3)), noise, known)
     rays, exist = camera.ray(pixels)
     by_ray = camera.project_jacobian(rays)
     known &= exist & np.isfinite(by_ray).all(axis=(1, 2))
-    return Points(rays, by_ray, noise, known)
+    return Points(rays, pixels - _centre(camera), by_ray, noise, known)
 
 
-def _circle(camera: Camera, circle: SeenCircle | None) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _circle(camera: Camera, circle: SeenCircle | None) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     if circle is None or not len(circle.points_px):
-        return np.zeros((0, 3)), np.zeros((0, 3, 2)), np.zeros(0)
+        return np.zeros((0, 3)), np.zeros((0, 3, 2)), np.zeros((0, 2)), np.zeros(0)
     count = len(circle.points_px)
     rows = np.unique(np.linspace(0, count - 1, min(count, _MOST_POINTS)).round().astype(np.intp))
     rays, by_pixel, exist = camera.ray_and_jacobian(circle.points_px[rows])
     sigmas = np.asarray(circle.sigma_px, dtype=np.float64)[rows]
     good = exist & np.isfinite(sigmas) & (sigmas > 0.0)
-    return rays[good], by_pixel[good], sigmas[good]
+    return rays[good], by_pixel[good], (circle.points_px[rows] - _centre(camera))[good], sigmas[good]
+
+
+def _centre(camera: Camera) -> FloatArray:
+    return np.array([camera.cx_px, camera.cy_px])

@@ -1,0 +1,91 @@
+"""Jacobians of locate's residuals, its attitudes and its priors."""
+
+import numpy as np
+import pytest
+from seen_scenes import NAO, Look, Scene
+
+from fieldloc.covariance import central_difference
+from fieldloc.field import load_field
+from fieldloc.ground import robot_from_camera
+from fieldloc.locate import CameraPrior, LocateSettings
+from fieldloc.locate.attitude import attitudes
+from fieldloc.locate.errors import Cameras, circle_errors, line_errors, post_errors, post_jacobians
+from fieldloc.locate.matching import Noise, match
+from fieldloc.locate.shape import shape_of
+from fieldloc.locate.sight import sight_of
+from fieldloc.locate.states import rotations, turn_axes
+from fieldloc.measurements import CameraMount
+from fieldloc.pose import FloatArray
+
+FIELD = load_field("spl")
+SHAPE = shape_of(FIELD)
+LOOKS = [Look(np.array([1.6, 0.7, -0.1]), 0.5, 0.22, 0.03), Look(np.array([-1.9, 1.1, 2.6 - np.pi]), 0.45, 0.2, -0.2)]
+
+
+def state_of(look: Look) -> FloatArray:
+    return np.array([*look.pose, look.height_m, look.pitch_rad, look.roll_rad])
+
+
+def test_a_state_turns_as_a_mount_of_that_attitude() -> None:
+    mount = CameraMount(0.5, 0.7, 0.3, -0.2, np.zeros((4, 4)))
+    np.testing.assert_allclose(
+        rotations(np.array([[0.0, 0.0, 0.7, 0.5, 0.3, -0.2]]))[0], robot_from_camera(mount), atol=1e-15
+    )
+
+
+def test_turns_are_about_the_axes_told() -> None:
+    state = np.array([1.0, 2.0, 0.7, 0.5, 0.3, -0.2])
+    axes, ray = turn_axes(state[None])[0], np.array([0.3, -0.2, 1.0])
+    numeric = central_difference(lambda s: rotations(s[None])[0] @ ray, state)
+    for column, axis in zip((2, 4, 5), axes, strict=True):
+        np.testing.assert_allclose(numeric[:, column], np.cross(axis, rotations(state[None])[0] @ ray), atol=1e-8)
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_jacobians_are_those_of_the_errors(look: Look) -> None:
+    sight = sight_of(Scene(NAO, FIELD, np.random.default_rng(0), 1e-4).seen(look), NAO)
+    state = state_of(look)
+    matches = match(Cameras.at(state[None]), Noise(sight, SHAPE, LocateSettings(), 0.0, np.ones(1)))
+    assert (matches.lines >= 0).sum() > 2
+    lines = np.maximum(matches.lines, 0)
+
+    def of_lines(at: FloatArray) -> FloatArray:
+        return line_errors(Cameras.at(at[None]), sight, SHAPE, lines)[0].ravel()
+
+    exact = line_errors(Cameras.at(state[None]), sight, SHAPE, lines)[1].reshape(-1, 7)[:, :6]
+    np.testing.assert_allclose(exact, central_difference(of_lines, state), atol=1e-2)  # of up to a thousand px
+    if len(sight.post_rays):
+        posts = np.maximum(matches.posts, 0)[..., None]
+        numeric = central_difference(lambda s: post_errors(Cameras.at(s[None]), sight, SHAPE, posts)[0].ravel(), state)
+        exact = post_jacobians(Cameras.at(state[None]), sight, SHAPE, posts).reshape(-1, 7)[:, :6]
+        np.testing.assert_allclose(exact, numeric, atol=5.0)  # a foot's place on the post turns with the camera's
+    if len(sight.circle_rays):
+        circle = SHAPE.circles[0]
+        numeric = central_difference(lambda s: circle_errors(Cameras.at(s[None]), sight, circle)[0].ravel(), state)
+        exact = circle_errors(Cameras.at(state[None]), sight, circle)[1].reshape(-1, 7)[:, :6]
+        np.testing.assert_allclose(exact, numeric, atol=0.05)
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_lines_posts_and_circle_show_how_the_camera_is_turned(look: Look) -> None:
+    sight = sight_of(Scene(NAO, FIELD, np.random.default_rng(1), 0.1).seen(look), NAO)
+    found = attitudes(sight, CameraPrior.told()).angles
+    quarter = (found[:, 0] - look.pose[2] + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    wrong = np.abs(np.column_stack([quarter, found[:, 1] - look.pitch_rad, found[:, 2] - look.roll_rad]))
+    assert np.degrees(wrong.max(axis=1).min()) < 2.5  # good enough to begin with; what is told is fitted jointly
+
+
+def test_a_prior_without_sense_is_refused() -> None:
+    with pytest.raises(ValueError, match="height"):
+        CameraPrior.told(height_m=-0.5)
+    with pytest.raises(ValueError, match="positive definite"):
+        CameraPrior(np.array([0.5, 0.0, 0.0]), np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="finite"):
+        CameraPrior.told(pitch_rad=float("nan"))
+
+
+def test_a_mounts_prior_is_its_height_tilt_and_roll() -> None:
+    mount = CameraMount(0.5, 0.7, 0.3, -0.2, np.diag([0.01, 0.02, 0.03, 0.04]) ** 2)
+    prior = CameraPrior.of_mount(mount)
+    np.testing.assert_allclose(prior.mean, [0.5, 0.3, -0.2])
+    np.testing.assert_allclose(prior.sigmas, [0.01, 0.03, 0.04], rtol=0.01)
