@@ -58,7 +58,7 @@ class Ekf:
             return
         motion = motion.calibrated(self._extra[:CALIBRATION])
         self._pose = se2.compose(self._pose, motion.before_from_after)
-        self._filter.F[:3, :3] = se2.adjoint(se2.inverse(motion.before_from_after))
+        self._filter.F[:3, :3] = motion.back
         self._filter.F[:3, 3 : 3 + CALIBRATION] = motion.by_calibration
         self._filter.Q[:3, :3] = motion.covariance
         left, gained = self._config.compass.wander((stamp_ns - before_ns) * 1e-9)

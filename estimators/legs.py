@@ -65,14 +65,13 @@ class Legs:
     def _end(self, pose: FloatArray, covariance: FloatArray, calibration: FloatArray) -> None:
         assert self._start is not None
         way = self._way
-        step = np.hstack([se2.adjoint(se2.inverse(way.before_from_after)), way.by_calibration])
+        step = np.concatenate([way.back, way.by_calibration], axis=1)
         carried = step @ self._covariance @ step.T + way.covariance
-        there = se2.compose(self._start, way.before_from_after)
-        turn = pose[2] - there[2]
-        known = se2.rotate_covariance(covariance[:3, :3], turn)
+        known = covariance[:3, :3]
         if np.linalg.det(known) > _BETTER * np.linalg.det(carried):
             return
-        expected = carried - known
+        there = se2.compose(self._start, way.before_from_after)
+        expected = carried - se2.rotate_covariance(known, pose[2] - there[2])
         if np.linalg.eigvalsh(expected)[0] > 0.0:
             self._learn(se2.local(there, pose), expected, way.parts)
         self.begin(pose, covariance, calibration)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.config import MotionNoise
+from estimators.recent import Recent
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
 
@@ -16,7 +17,6 @@ _MAX_PERIOD_S = 1.0
 # how much of a motion is left at Gauss's two points: exact up to cubic, so straight ahead
 _GAUSS = (0.5 + 0.5 / 3**0.5, 0.5 - 0.5 / 3**0.5)
 _SMALL_ANGLE_RAD = 1e-4
-_RECENT_NS = 1_000_000_000  # delays are shorter
 _AS_SAID = np.ones(2)
 _NO_PARTS = np.zeros((2, 3, 3))
 _OF_WHAT = np.array([0, 0, 1])  # part that noise forward, to the left and turning belongs to
@@ -79,6 +79,11 @@ class Increment:
         moved = np.array(_arc(*(self.by_calibration @ calibration).tolist()))
         return Increment(_composed(self.before_from_after, moved), self.covariance, self.by_calibration, self.parts)
 
+    @property
+    def back(self) -> FloatArray:
+        """(3, 3) the robot-frame tangent after the motion with that before it."""
+        return _after(self.before_from_after)
+
     @staticmethod
     def carry(covariance: FloatArray, before_from_after: FloatArray) -> FloatArray:
         """A robot-frame covariance (3, 3) before a motion, as one after it."""
@@ -102,7 +107,7 @@ class HeldVelocity:
         self.delay_s = delay_s
         self._waiting: deque[Odometry] = deque()
         self.scales = _AS_SAID
-        self._recent: deque[Odometry] = deque()
+        self._recent = Recent()
         self._odometry: Odometry | None = None
         self._period_s = 0.0
         self.stamp_ns: int | None = None
@@ -123,9 +128,7 @@ class HeldVelocity:
             if elapsed_s > 0.0:  # a message that comes twice says nothing of the period
                 self._period_s = min(elapsed_s, _MAX_PERIOD_S)
         self._odometry = odometry
-        self._recent.append(odometry)
-        while len(self._recent) > 1 and self._recent[1].stamp_ns < odometry.stamp_ns - 2 * _RECENT_NS:
-            self._recent.popleft()
+        self._recent.hold(odometry)
 
     @property
     def is_said(self) -> bool:
@@ -134,30 +137,11 @@ class HeldVelocity:
 
     def before(self, duration_s: float) -> FloatArray:
         """(3,) velocity that was held so long before the last stamp, a second at most."""
-        if self.stamp_ns is None or self._odometry is None:
-            return np.zeros(3)
-        then_ns = self.stamp_ns - min(int(duration_s * 1e9), _RECENT_NS)
-        for odometry in reversed(self._recent):
-            if odometry.stamp_ns <= then_ns:
-                return odometry.velocity
-        return self._recent[0].velocity
+        return np.zeros(3) if self.stamp_ns is None else self._recent.at(self.stamp_ns, duration_s)
 
     def recent(self, duration_s: float) -> FloatArray:
         """(3,) velocity on the average of so long before the last stamp, a second at most; the present one for none."""
-        now_ns, held = self.stamp_ns, self._odometry
-        if now_ns is None or held is None:
-            return np.zeros(3)
-        start_ns = now_ns - min(int(duration_s * 1e9), _RECENT_NS)
-        if start_ns >= held.stamp_ns:
-            return held.velocity
-        way, end_ns = np.zeros(3), now_ns
-        for odometry in reversed(self._recent):
-            since_ns = max(odometry.stamp_ns, start_ns)
-            if since_ns < end_ns:
-                way, end_ns = way + odometry.velocity * (end_ns - since_ns), since_ns
-            if odometry.stamp_ns <= start_ns:
-                break
-        return way / (now_ns - end_ns) if now_ns > end_ns else held.velocity
+        return np.zeros(3) if self.stamp_ns is None else self._recent.mean(self.stamp_ns, duration_s)
 
     def advance(self, stamp_ns: int) -> Increment | None:
         """The motion from the last stamp to this one; None if no time passes."""

@@ -116,9 +116,9 @@ class Views:
         twist = -late_s * self._mean_velocity(late_s, extra)
         twist[2] -= extra[LATE - 5]
         # how much of a sigma's way is not along a straight line
-        early, later = (self._velocity(late_s + by * sigma_s, extra) for by in (-2.0, 2.0))
+        early, later = (self._held.before(max(late_s + by * sigma_s, 0.0)) for by in (-2.0, 2.0))
         bent = 0.5 * sigma_s * (later - early)
-        return View(by_state, twist, extra, np.outer(bent, bent))
+        return View(by_state, twist, extra, bent[:, None] * bent)
 
     def compass(self, extra: FloatArray) -> View:
         """Of the heading that a compass shows."""

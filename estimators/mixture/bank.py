@@ -91,7 +91,7 @@ class Bank:
             poses = se2.retract(poses, others @ motion.by_calibration.T)
         extra[:, -1] *= offset_left
         step = _IDENTITY.copy()
-        step[:3, :3] = se2.adjoint(se2.inverse(motion.before_from_after))
+        step[:3, :3] = motion.back
         step[:3, 3 : 3 + CALIBRATION] = motion.by_calibration
         step[OFFSET, OFFSET] = offset_left
         covariances = step @ self.covariances @ step.T
@@ -102,7 +102,7 @@ class Bank:
     def moved_one(self, row: int, motion: Increment, view: View) -> tuple[FloatArray, FloatArray]:
         """Pose (3,) and covariance (3, 3), as the view has them, of one whose odometry the motion is, after it."""
         step = view.by_state.copy()
-        step[:, :3] = se2.adjoint(se2.inverse(motion.before_from_after))
+        step[:, :3] = motion.back
         step[:, 3 : 3 + CALIBRATION] += motion.by_calibration
         moved = step @ self.covariances[row] @ step.T + motion.covariance + view.chance
         return view.of(se2.compose(self.poses[row], motion.before_from_after), self.extra[row]), moved
