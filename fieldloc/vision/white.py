@@ -40,6 +40,9 @@ class Runs:
     first_px: FloatArray
     last_px: FloatArray
 
+    def moved(self, across_px: float, along_px: float) -> "Runs":
+        return Runs(self.scan, self.at_px + across_px, self.first_px + along_px, self.last_px + along_px)
+
     @property
     def middle_px(self) -> FloatArray:
         return 0.5 * (self.first_px + self.last_px)
@@ -68,12 +71,15 @@ def find_runs(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> tupl
     # Nothing above the field's border is looked at.
     above = max(0, int(turf.boundary_px[:, 1].min() / turf.scale[1]) - 2)
     top = round(above * turf.scale[1])
-    picture, level = picture[top:], _turf_level(picture[top:], turf, turf.mask[above:], settings)
-    down = _reduced(picture, max(1, width // SCAN_STEP_PX), height - top)
-    across = _reduced(picture, width, max(1, (height - top) // SCAN_STEP_PX))
-    first = _runs(down.transpose(1, 0, 2), level.T, turf, (0, width), top, settings.widest * height, True)
-    second = _runs(across, level, turf, (top, height), 0, settings.widest * height, False)
-    return first, second
+    below = picture[top:]
+    level = _turf_level(below, turf, turf.mask[above:], settings)
+    grey = grey_of(below, turf)
+    down = np.ascontiguousarray(_reduced(grey, max(1, width // SCAN_STEP_PX), height - top).T)
+    across = _reduced(grey, width, max(1, (height - top) // SCAN_STEP_PX))
+    widest_px = settings.widest * height
+    first = _runs(down, level.T, width, widest_px).moved(0.0, top)
+    second = _runs(across, level, height - top, widest_px).moved(top, 0.0)
+    return _white_on_turf(first, picture, turf, True), _white_on_turf(second, picture, turf, False)
 
 
 def _reduced(picture: UInt8Array, width: int, height: int) -> UInt8Array:
@@ -124,15 +130,10 @@ def _unlike(grey: Single, mask: Single, mean: Single, spread: Single) -> Single:
     return np.asarray(mask * (np.abs(grey - around) < limit), dtype=np.float32)
 
 
-def _runs(
-    lines: UInt8Array, level: Single, turf: Turf, extent: tuple[int, int], origin: int, widest_px: float, down: bool
-) -> Runs:
-    """lines: (n, length, 3) a scan line per row. level: `_turf_level`, a scan line per row. extent: the pixels across
-    the scan lines, from and to; origin: the first pixel along them.
-    """
-    count, length = lines.shape[:2]
-    lines = np.ascontiguousarray(lines)
-    grey = np.asarray(cv2.GaussianBlur(grey_of(lines, turf), (3, 1), 0), dtype=np.uint8)
+def _runs(grey: UInt8Array, level: Single, extent_px: int, widest_px: float) -> Runs:
+    """grey: (n, length) a scan line per row. level: `_turf_level`, a scan line per row. extent_px: of all of them."""
+    count, length = grey.shape
+    grey = np.asarray(cv2.GaussianBlur(grey, (3, 1), 0), dtype=np.uint8)
     bar = np.asarray(cv2.resize(level, (length, count), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
     white = cv2.morphologyEx((grey > bar).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((1, 3), dtype=np.uint8))
     apart = np.zeros((count, length + 1), dtype=np.uint8)  # so that no run goes on in the next row
@@ -148,28 +149,40 @@ def _runs(
     scan, first, last = scan[inside], first[inside], last[inside]
     begins = first - _beyond(grey, bar, scan, first, first - 1)
     ends = last + _beyond(grey, bar, scan, last, last + 1)
-    at_px = (scan + 0.5) * ((extent[1] - extent[0]) / count) - 0.5 + extent[0]
-    beside = np.zeros((len(scan), 3))
-    kept = np.ones(len(scan), dtype=np.bool_)
-    width = ends - begins
-    for border, sign in ((begins, -1.0), (ends, 1.0)):
-        kept &= _turf_beyond(turf, at_px, border + origin, sign, width, down)
-        place = np.clip(np.rint(border + sign * (2.0 + 0.15 * width)), 0, length - 1).astype(np.intp)
-        beside += 0.5 * lines[scan, place]
-    step = lines[scan, np.rint(0.5 * (begins + ends)).astype(np.intp)] - beside
+    return Runs(scan, (scan + 0.5) * (extent_px / count) - 0.5, begins, ends)
+
+
+def _white_on_turf(runs: Runs, picture: UInt8Array, turf: Turf, down: bool) -> Runs:
+    """Those with turf on either side that are white beside it."""
+    width = runs.last_px - runs.first_px
+    kept = np.ones(len(width), dtype=np.bool_)
+    beside = np.zeros((len(width), 3))
+    for border, sign in ((runs.first_px, -1.0), (runs.last_px, 1.0)):
+        # A thin line's halo in the compressed colours reaches some pixels.
+        kept &= turf.at(_points(runs, border + sign * (_BEYOND_PX[:, None] + 0.15 * width), down)).any(axis=0)
+        beside += 0.5 * _colours(picture, _points(runs, border + sign * (2.0 + 0.15 * width), down), down)
+    step = _colours(picture, _points(runs, runs.middle_px, down), down) - beside
     kept &= step @ weights_of(turf.colour) > _COLOUR_STEP * step[:, 1]
     kept &= step.min(axis=1) > 0.5 * _COLOUR_STEP * step[:, 1]
-    return Runs(scan[kept], at_px[kept], begins[kept] + origin, ends[kept] + origin)
+    return Runs(runs.scan[kept], runs.at_px[kept], runs.first_px[kept], runs.last_px[kept])
 
 
-def _turf_beyond(
-    turf: Turf, at_px: FloatArray, border_px: FloatArray, sign: float, width: FloatArray, down: bool
-) -> Mask:
-    """Whether there is turf beyond a run's end; a thin line's halo in the compressed colours reaches some pixels."""
-    place = border_px + sign * (_BEYOND_PX[:, None] + 0.15 * width)
-    points = np.empty((*place.shape, 2))
-    points[..., 0 if down else 1], points[..., 1 if down else 0] = at_px, place
-    return np.asarray(turf.at(points).any(axis=0))
+def _points(runs: Runs, along_px: FloatArray, down: bool) -> FloatArray:
+    """(..., n, 2) pixels at places (..., n) along the scan lines."""
+    points = np.empty((*along_px.shape, 2))
+    points[..., 0 if down else 1], points[..., 1 if down else 0] = runs.at_px, along_px
+    return points
+
+
+def _colours(picture: UInt8Array, points: FloatArray, down: bool) -> FloatArray:
+    """(n, 3) of the pixels at points (n, 2), with their neighbours across the scan line."""
+    pixels = np.rint(points).astype(np.intp)
+    total = np.zeros((len(points), 3))
+    for aside in (-1, 0, 1):
+        column = np.clip(pixels[:, 0] + (aside if down else 0), 0, picture.shape[1] - 1)
+        row = np.clip(pixels[:, 1] + (0 if down else aside), 0, picture.shape[0] - 1)
+        total += picture[row, column]
+    return total / 3.0
 
 
 def _beyond(
