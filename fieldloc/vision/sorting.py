@@ -14,6 +14,7 @@ from fieldloc.vision.turf import Mask, Turf
 
 _COVERED = 0.7  # share of a piece within wider or longer ones
 _MARK_WIDTHS, _MARK_LENGTH = 30.0, 0.15  # longer than so many widths or than this of the picture's width is no mark
+_STUB_WIDTHS = 3.5  # what is shorter, and neither at another line nor at the picture's border, is a patch
 _LIMB_WIDTHS = 8.0  # what is shorter and ends at something that is no turf is a part of that
 _LOWEST_PX, _HIGHEST = 8.0, 0.35  # of the horizon above the field's border, in pixels and of the picture's height
 _TAPER = 0.25  # of the logarithm of a width, beyond perspective and three standard deviations
@@ -42,7 +43,8 @@ def sort_out(
     short = length < np.minimum(_MARK_WIDTHS * width.mean(axis=1), _MARK_LENGTH * grey.shape[1])
     lonely = ~_near_others(ends, width, good & ~short, circle)
     mark = short & free.all(axis=1) & lonely
-    limb = (length < _LIMB_WIDTHS * width.mean(axis=1)) & blocked.any(axis=1)
+    stub = lonely & (length < _STUB_WIDTHS * width.max(axis=1)) & ~_at_border(ends, width, grey)
+    limb = stub | (length < _LIMB_WIDTHS * width.mean(axis=1)) & blocked.any(axis=1)
     return tuple(line for line, keep in zip(lines, good & ~mark & ~limb, strict=True) if keep)
 
 
@@ -75,6 +77,12 @@ def _covered(ends: FloatArray, width: FloatArray) -> Mask:
     inside = (off < 0.6 * wide + 0.5) & (place > -wide) & (place < length + wide)
     inside &= (length[None, :] > length[:, None])[:, None]
     return np.asarray(inside.any(axis=2).mean(axis=1) >= _COVERED)
+
+
+def _at_border(ends: FloatArray, width: FloatArray, grey: UInt8Array) -> Mask:
+    """(n,) which have an end at the picture's border."""
+    reach = (width + 4.0)[..., None]
+    return np.asarray(((ends < reach) | (ends > np.array(grey.shape[1::-1]) - 1.0 - reach)).any(axis=(1, 2)))
 
 
 def _tapers_as_turf(ends: FloatArray, width: FloatArray, sigma: FloatArray, turf: Turf, height: int) -> Mask:
