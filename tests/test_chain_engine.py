@@ -304,4 +304,11 @@ def test_the_covariances_are_those_of_the_errors(arithmetic: Make) -> None:
 
 
 def test_what_takes_a_while_the_first_time_can_be_done_before() -> None:
+    pytest.importorskip("numba")
+    from estimators.chain_engine import fused, sweep
+
     prepare()
+    for config in CONFIGS.values():
+        solve(drawn(5), config)
+    kernels = [fused.add_motions, fused.add_factors, fused.sights, sweep._eliminate, sweep._substitute]
+    assert [len(kernel.signatures) for kernel in (*kernels, sweep._covariances)] == [1] * 6
