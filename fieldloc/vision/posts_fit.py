@@ -18,10 +18,10 @@ from fieldloc.vision.posts_profile import Profiles, fit_profiles
 from fieldloc.vision.straight import Plane
 
 _GAMMA = 2.2
-_BLOCKS = 8  # of rows along a post
+_BLOCKS = 6  # of rows along a post
 _LEAST_BLOCKS = 4  # in which both edges are found
-_MOST_ROWS = 6  # of a block
-_SAMPLES = 34  # across
+_MOST_ROWS = 8  # of a block
+_SAMPLES = 30  # across
 _MARGIN = 0.5  # of the width, beside either edge
 _MARGIN_PX = 3.5, 12.0
 _INSIDE_PX = 1.5  # what must be seen beside an edge; beyond the picture its border goes on

@@ -56,7 +56,7 @@ def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Ma
             jacobian = _derivatives(at, place, half, state, linear) * free[:, None, :]
         residual = values - (jacobian[..., 3:] @ linear[..., None])[..., 0]
         if step > 1:  # what is no step and no parabola counts little
-            scale = 1.5 + 2.0 * np.median(np.abs(residual), axis=1, keepdims=True)
+            scale = 1.5 + 1.5 * np.mean(np.abs(residual), axis=1, keepdims=True)
             weight = 1.0 / (1.0 + (residual / scale) ** 2)
         weighted = (jacobian * weight[..., None]).transpose(0, 2, 1)
         system = weighted @ jacobian
