@@ -14,6 +14,7 @@ _SPACING_PX = 4.0  # of the points along the circle
 _FEWEST, _MOST = 24, 128  # points all around
 _BINS = 48
 _OUTLIER = 3.5  # robust standard deviations from the ellipse
+_LEAST_OUTLIER_PX = 0.7  # the middle between a circle's edges in perspective is not quite an ellipse
 _FLOOR_PX = 0.03  # of a point: what interpolation between pixels errs by
 _LEAST_SHARE = 0.7  # of the points where there are runs have to be on the ellipse
 _LEAST_ACROSS_PX = 1.5  # standard deviation of the points to either side of a straight line
@@ -48,7 +49,7 @@ def trace(
             ellipse = fitted
             off = ellipse.distance(np.where(np.isfinite(middles), middles, 1e9))
             spread = 1.4826 * float(np.sort(np.abs(off[good]))[np.count_nonzero(good) // 2])
-            good &= np.abs(off) < _OUTLIER * max(spread, 0.05)
+            good &= np.abs(off) < max(_OUTLIER * spread, _LEAST_OUTLIER_PX)
         if np.count_nonzero(good) < max(_FEWEST // 2, _LEAST_SHARE * len(good)):
             return None
     # Measured to a fraction of a pixel, two straight lines that run along an ellipse are straight.
