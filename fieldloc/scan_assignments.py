@@ -19,7 +19,6 @@ _AT_ONCE = 48  # assignments followed of one hypothesis
 _FORGOTTEN_ON_THE_WAY = 12.0  # log weight below the best one's
 _FORGOTTEN = 8.0  # the same in the end
 _DOUBTFUL = 2.0  # log evidence of an observation's landmark against clutter, below which more of them may be wrong
-_FAR_LIKELIER = 2.0  # log
 _ROUNDS = 3
 _STRAIGHT = np.array([0.05, 0.05, 0.05])  # m, m, rad: a step that is no longer needs no further linearisation
 
@@ -155,21 +154,6 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
 
 def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
     """(n,) landmark of each observation, -1 for none, in the best assignment from one pose (3,)."""
-    return _matched(_gains(model, pose))
-
-
-def sure_matches(model: ScanModel, pose: FloatArray) -> IntArray:
-    """The same, with those only that are by far likelier than any other landmark, and than clutter."""
-    gain = _gains(model, pose)
-    matches = _matched(gain)
-    rows = np.arange(len(gain))
-    best = gain[rows, matches]
-    gain[rows, matches] = 0.0
-    return np.where((matches >= 0) & (best - gain.max(axis=1) > _FAR_LIKELIER), matches, -1)
-
-
-def _gains(model: ScanModel, pose: FloatArray) -> FloatArray:
-    """(n, m) log density of each by itself as a landmark, relative to clutter, 0 where that is likelier."""
     pairs = model.pairs(pose[None], np.zeros((1, 3, 3)))
     xx, xy, yy = pairs.xx, pairs.xy, pairs.yy
     if model.shared is not None:
@@ -183,10 +167,6 @@ def _gains(model: ScanModel, pose: FloatArray) -> FloatArray:
     misfit = (yy * pairs.ex**2 - 2.0 * xy * pairs.ex * pairs.ey + xx * pairs.ey**2) / det
     gain = np.zeros(model.may.shape)
     gain[pairs.row, pairs.landmark] = np.maximum(pairs.log_peak - 0.5 * (np.log(det) + misfit), 0.0)
-    return gain
-
-
-def _matched(gain: FloatArray) -> IntArray:
     row, landmark = linear_sum_assignment(gain, maximize=True)
     out = np.full(len(gain), -1)
     out[row] = np.where(gain[row, landmark] > 0.0, landmark, -1)

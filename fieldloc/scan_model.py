@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray, wrap
+from fieldloc.scan_moments import Upper, determinant, moments, turned, upper_of
 
 BoolArray = NDArray[np.bool_]
-Upper = tuple[FloatArray, FloatArray, FloatArray]
-"""(xx, xy, yy) of matrices (2, 2)."""
 
 GATE = 18.42  # chi-square, 2 degrees of freedom: a right one fails once in ten thousand
 NAMED_GATE = 36.0  # one whose label says which it is; what is worth less than clutter then counts as that
@@ -102,12 +101,12 @@ class ScanModel:
     def pairs(self, poses: FloatArray, covariances: FloatArray) -> Pairs:
         """What may be what for robots at poses (h, 3) up to covariances (h, 3, 3), by errors that are not widened."""
         x, y = self._landmarks_from(poses)
-        pxx, pxy, pxh, pyy, pyh, phh = _upper(covariances[:, None])
+        pxx, pxy, pxh, pyy, pyh, phh = upper_of(covariances[:, None])
         xx = pxx + y * (y * phh - 2.0 * pxh)
         xy = pxy - y * pyh + x * pxh - x * y * phh
         yy = pyy + x * (x * phh + 2.0 * pyh)
         if self.survey is not None:
-            sxx, sxy, syy = _turned(self.survey, poses[:, 2:])
+            sxx, sxy, syy = turned(self.survey, poses[:, 2:])
             xx, xy, yy = xx + sxx, xy + sxy, yy + syy
         seen_x, seen_y, r, rr, bb = self._seen[:5, :, None]
         # first in a circle as wide as the widest axis at most; a bearing's error counts by the farther of both ranges
@@ -131,7 +130,7 @@ class ScanModel:
         if self.shared is not None:
             seen = self._own[:, row]
         r = seen[2]
-        survey = np.zeros((3, 1)) if self.survey is None else np.stack(_turned(self.survey[landmark], poses[pose, 2]))
+        survey = np.zeros((3, 1)) if self.survey is None else np.stack(turned(self.survey[landmark], poses[pose, 2]))
         plain = seen[5:8] + r * (seen[11:14] + r * seen[8:11])
         if self.survey is not None:
             plain += survey
@@ -141,7 +140,7 @@ class ScanModel:
             by_range, by_bearing = wider[row].T
             both = np.sqrt(by_range * by_bearing)
             widened = by_range * seen[5:8] + r * (both * seen[11:14] + r * by_bearing * seen[8:11]) + survey
-            log_peak -= 0.5 * np.log(_determinant(plain) / _determinant(widened))
+            log_peak -= 0.5 * np.log(determinant(plain) / determinant(widened))
         return Pairs(pose, row, landmark, x, y, ex, ey, widened[0], widened[1], widened[2], log_peak, wider)
 
     def widening(self, row: IntArray, landmark: IntArray) -> FloatArray | None:
@@ -181,12 +180,12 @@ class ScanModel:
         jacobian[..., 1, 0], jacobian[..., 1, 1], jacobian[..., 1, 2] = s / d, -c / d, -1.0
         every = np.arange(matches.shape[1])
         plain, widened = self._noise(self.covariance, every, matches, dx / d, dy / d, d, wider)
-        det = _determinant(plain)
+        det = determinant(plain)
         wrr, wrb, wbb = widened
         weight = np.empty((*matches.shape, 2, 2))
         weight[..., 0, 0], weight[..., 1, 1] = wbb, wrr
         weight[..., 0, 1] = weight[..., 1, 0] = -wrb
-        weight *= (matched / _determinant(widened))[..., None, None]
+        weight *= (matched / determinant(widened))[..., None, None]
         of_shared = None
         if self.shared is not None:
             by_range, by_bearing = self.shared.T
@@ -232,7 +231,7 @@ class ScanModel:
         out += error_b * error_b * (rr / det)
         out *= -0.5
         peak = (self.log_match - self.log_clutter - _LOG_TWO_PI)[:, None, None]
-        out += peak - 0.5 * np.log(_determinant(plain))
+        out += peak - 0.5 * np.log(determinant(plain))
         return np.asarray(out)
 
     def noise_at(self, errors: Errors, wider: FloatArray | None, covariance: FloatArray) -> tuple[Upper, Upper]:
@@ -276,7 +275,7 @@ class ScanModel:
     def points(self) -> tuple[FloatArray, FloatArray]:
         """Where landmarks were seen (n, 2), sensor's frame, and covariances (n, 2, 2) of that, not widened, up to the
         turn that they share."""
-        own = self._own if self.shared is None else _moments(self.range_bearing, self._with_shared([1.0, 0.0]))
+        own = self._own if self.shared is None else moments(self.range_bearing, self._with_shared([1.0, 0.0]))
         r = own[2]
         xx, xy, yy = own[5:8] + r * (own[11:14] + r * own[8:11])
         return own[:2].T, np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
@@ -300,39 +299,8 @@ class ScanModel:
 
     @cached_property
     def _seen(self) -> FloatArray:
-        return self._own if self.shared is None else _moments(self.range_bearing, self.whole_covariance)
+        return self._own if self.shared is None else moments(self.range_bearing, self.whole_covariance)
 
     @cached_property
     def _own(self) -> FloatArray:
-        return _moments(self.range_bearing, self.covariance)
-
-
-def _moments(range_bearing: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(14, n): where landmarks were seen x, y, range; variances of range and bearing; then (xx, xy, yy) each of what
-    comes of the range's variance, of the bearing's at one metre, and of what they share at one metre."""
-    r, b = range_bearing.T
-    c, s = np.cos(b), np.sin(b)
-    rr, rb, bb = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    along = [c * c * rr, c * s * rr, s * s * rr]
-    across = [s * s * bb, -c * s * bb, c * c * bb]
-    mixed = [-2.0 * c * s * rb, (c * c - s * s) * rb, 2.0 * c * s * rb]
-    return np.stack([r * c, r * s, r, rr, bb, *along, *across, *mixed])
-
-
-def _determinant(upper: Upper | FloatArray) -> FloatArray:
-    xx, xy, yy = upper
-    return np.asarray(xx * yy - xy * xy)
-
-
-def _upper(covariances: FloatArray) -> tuple[FloatArray, ...]:
-    """Six numbers (...) of (..., 3, 3)."""
-    flat = covariances.reshape(*covariances.shape[:-2], 9)
-    return tuple(flat[..., k] for k in (0, 1, 2, 4, 5, 8))
-
-
-def _turned(covariances: FloatArray, heading_rad: FloatArray) -> Upper:
-    """(xx, xy, yy) of covariances (..., 2, 2) in field axes, in axes turned by the heading (...)."""
-    xx, xy, yy = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    cc, cs, ss = c * c, c * s, s * s
-    return cc * xx + 2.0 * cs * xy + ss * yy, (cc - ss) * xy + cs * (yy - xx), ss * xx - 2.0 * cs * xy + cc * yy
+        return moments(self.range_bearing, self.covariance)

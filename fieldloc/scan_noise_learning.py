@@ -19,7 +19,11 @@ from fieldloc.pose import FloatArray
 from fieldloc.scan_noise import NoisePrior, ScanNoise, shared_directions
 
 _NOTHING = 1e-3  # a share that is as good as none
-_LOWEST = np.log([0.05, 0.05, _NOTHING])
+_LEAST = (
+    0.25  # neighbours on the map have errors alike beyond what the whole scan shares: who errs by less than half of
+)
+# what is stated is not believed
+_LOWEST = np.log([_LEAST, _LEAST, _NOTHING])
 _HIGHEST = np.log(9.0)
 _LONGEST = 0.5  # step in a logarithm
 _KEPT = 2000.0  # information in a logarithm: about as many errors are remembered, older ones forgotten

@@ -1,7 +1,7 @@
 """The noise of each sensor's scans, as it is learned on the way."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,13 +9,15 @@ from fieldloc import pose as se2
 from fieldloc.measurements import LandmarkScan
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation, inflation
-from fieldloc.scan_assignments import sure_matches
+from fieldloc.scan_assignments import expand
 from fieldloc.scan_mixture import ScanMixture
 from fieldloc.scan_noise import AS_STATED, UNLEARNED, NoisePrior, ScanNoise
 from fieldloc.scan_noise_learning import NoiseLearner, ScanErrors
 
 _EVERY_S = 0.5  # what comes sooner is much the same
 _SENSORS = 16
+_SURE = 0.9  # probability of the likeliest assignment, beside all others
+_ABOUT = np.diag([0.1, 0.1, 0.05]) ** 2  # m, m, rad: how well poses are known from which landmarks are told apart
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +58,7 @@ class ScanNoises:
 
     def learn(self, mixture: ScanMixture, pose: FloatArray) -> None:
         """From what a robot at the pose (3,) has seen of landmarks that leave no doubt which they are."""
-        scan, model = mixture.scan, mixture.model
+        scan = mixture.scan
         mount = scan.robot_from_sensor.tobytes()
         if (learner := self._learners.get(mount)) is None or len(scan.labels) < 2:
             return
@@ -65,7 +67,12 @@ class ScanNoises:
         if age_s < _EVERY_S:
             return
         at = se2.compose(pose, scan.robot_from_sensor)
-        matches = sure_matches(model, at)
+        # which is which, what was seen before tells as well as what was not
+        model = replace(mixture.model, wider=np.ones_like(mixture.model.wider), wider_shared=np.ones(2))
+        near, every = expand(model, at[None], _ABOUT[None])
+        if not len(every) or np.exp(near.evidence - near.evidence.max()).sum() > 1.0 / _SURE:
+            return
+        matches = every[np.argmax(near.evidence)]
         rows = np.flatnonzero(matches >= 0)
         if len(rows) < 2:
             return
