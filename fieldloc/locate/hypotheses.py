@@ -15,7 +15,8 @@ class Hypothesis:
     pose: (3,) x_m, y_m, heading_rad: the point of the ground straight below the camera, and where its optical axis
     points. covariance: (3, 3) of these in field axes. height_m, pitch_rad (looking down is positive), roll_rad (right
     side down is positive): with `full_covariance` (6, 6) of x, y, heading, height, pitch, roll.
-    lines, posts: per one detected, the row of the map's lines as `Shape` has them, of its landmarks; -1 for none.
+    lines, posts: per one detected, the row of the map's lines as `Shape` has them, of its landmarks; -1 for none, -2
+    for a line that is a piece of a circle's.
     circle: row of the map's circles or -1. log_evidence: log density of all detected, less that if none of it were the
     map's, integrated over all poses.
     """

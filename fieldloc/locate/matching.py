@@ -15,9 +15,11 @@ from fieldloc.locate.shape import Shape
 from fieldloc.locate.sight import Sight
 from fieldloc.pose import FloatArray
 
+ARC = -2  # the match of a line that is a piece of a circle: explained, but of no use
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _OVER_M, _OVER_PX = 0.08, 4.0  # by how much an end is found beyond the line's
 _WIDTH_PX, _WIDTH = 1.0, 0.2  # how far off a line's width may be: blur, and lines laid by hand
+_ARC_PX = 3.0  # by how much a straight piece of a circle's line is off it
 _LOG_WIDTH = -float(np.log(30.0))  # any width up to this
 _LOG_POST = -float(np.log(640.0 * 60.0 * 20.0 * 20.0))  # place, width, and the lean of either edge
 _LOG_FOOT = -float(np.log(480.0 * 10.0))
@@ -26,7 +28,8 @@ _CIRCLE_NUMBERS = 5.0  # of an ellipse: so many points of it say something of th
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """lines (k, l), posts (k, p), marks (k, m): row of the map or -1; circle (k,) whether it is the map's `circles`.
+    """lines (k, l), posts (k, p): row of the map, -1 for none of it, ARC for a piece of a circle's line; circle (k,)
+    whether it is the map's `circles`.
     gains of each of these, zero where there is no match."""
 
     lines: IntArray
@@ -124,8 +127,22 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     log_odds = np.log((1.0 - settings.false_line) / settings.false_line) - np.log(len(shape.starts))
     gains = np.take_along_axis(gain, best[..., None], axis=2)[..., 0] - log_clutter + log_odds
     gains = gains + _widths_fit(noise, np.take_along_axis(px_per_m, best[:, :, None, None], axis=3)[..., 0])
-    right = gains > 0.0
-    return np.where(right, best, -1), np.where(right, gains, 0.0)
+    best, gains = np.where(gains > 0.0, best, -1), np.maximum(gains, 0.0)
+    arc = _arcs_fit(noise, ground, m_per_px) - log_clutter + log_odds
+    return np.where(before & (arc > gains), ARC, best), np.where(before & (arc > gains), arc, gains)
+
+
+def _arcs_fit(noise: Noise, ground: FloatArray, m_per_px: FloatArray) -> FloatArray:
+    """(k, l) log density of both ends (k, l, 2, 2) of lines that are short pieces of one of the circles."""
+    out = np.full(ground.shape[:2], -np.inf)
+    chord = np.hypot(*np.moveaxis(ground[:, :, 1] - ground[:, :, 0], -1, 0))
+    sigma_px = _ARC_PX + noise.widen_px
+    for x, y, radius in noise.shape.circles:
+        away = np.hypot(ground[..., 0] - x, ground[..., 1] - y) - radius
+        off = away / (sigma_px * m_per_px + noise.settings.map_m)
+        log_density = -0.5 * (off * off).sum(axis=2) - 2.0 * np.log(sigma_px) - _LOG_2PI
+        out = np.maximum(out, np.where(chord < radius, log_density, -np.inf))
+    return out
 
 
 def _widths_fit(noise: Noise, px_per_m: FloatArray) -> FloatArray:

@@ -23,7 +23,8 @@ _ROUGH_PX = 12.0  # by how much candidates are off
 _ANNEALED_PX = (10.0, 4.0, 1.0)  # by how much they may be off, step by step
 _SHARPER = 0.25
 _LAST_STEPS = 2
-_MARGINS = (14.0, 20.0)  # so much worse than the best is hopeless, among candidates and among refined states
+_MARGIN = 35.0  # so much worse than the best is hopeless among candidates
+_MARGINS = (60.0, 40.0, 25.0)  # and among refined states, whose right one stands out the more the sharper one looks
 _NEGLIGIBLE = 1e-4
 
 
@@ -44,7 +45,7 @@ def locate(
     if not len(states):
         return Located((), 1.0)
     _, scores = task.matched(states, _ROUGH_PX)
-    states = states[task.best(states, scores, settings.candidates, _MARGINS[0])]
+    states = states[task.best(states, scores, settings.candidates, _MARGIN)]
     states = _refined(task, states)
     settled = settle(task, states)
     rows = task.best(settled.states, settled.log_evidence, settings.hypotheses, np.inf)
@@ -53,16 +54,16 @@ def locate(
 
 def _refined(task: Task, states: FloatArray) -> FloatArray:
     """Matched with ever less tolerance, and fitted; those that are left at the end."""
-    for widen_px in _ANNEALED_PX:
+    for widen_px, margin in zip(_ANNEALED_PX, _MARGINS, strict=True):
         matches, scores = task.matched(states, widen_px)
-        rows = task.best(states, scores, len(states), _MARGINS[1])
+        rows = task.best(states, scores, len(states), margin)
         states, matches = states[rows], matches.take(rows)
         # who is who is seen with tolerance, but where that is weighs against the prior as it will in the end
         sharp = task.noise(_SHARPER * widen_px)
         states = stepped(states, linearise(Cameras.at(states), sharp, matches, task.prior))
     for _ in range(_LAST_STEPS):
         matches, scores = task.matched(states)
-        rows = task.best(states, scores, task.settings.hypotheses, _MARGINS[1])
+        rows = task.best(states, scores, task.settings.hypotheses, _MARGINS[-1])
         states, matches = states[rows], matches.take(rows)
         states = stepped(states, linearise(Cameras.at(states), task.noise(), matches, task.prior))
     return states
