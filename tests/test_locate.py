@@ -147,7 +147,7 @@ def test_the_stated_covariance_covers_what_noise_does(name: str) -> None:
         first = located.hypotheses[0]
         wrong += 2.0 * first.probability > 0.9 and float(np.hypot(*error(located, look, field)[:2])) > 0.5
     assert wrong == 0
-    # of 25 views, whose own spread is 0.16; noise of 0.3 px looks much as a lens that is off by 0.3 px: that is left open
+    # whose own spread is 0.16; noise of 0.3 px looks much as a lens that is off by 0.3 px would, and that is left open
     assert 0.25 < np.mean(squares) < 1.6
     assert np.mean(np.array(squares) < 16.0 / 3.0) > 0.95
 
