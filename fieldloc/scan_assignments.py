@@ -1,4 +1,4 @@
-"""Which landmark is which, all of a scan at once: joint assignments one to one, and the quadratics that they are.
+"""Which landmark is which, all of a scan at once: joint assignments one to one.
 
 Observation by observation as in joint compatibility branch and bound (Neira & Tardos 2001): each that finds its
 landmark narrows the pose down before the next one is held against the map.
@@ -9,18 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from fieldloc import pose as se2
-from fieldloc.mixture import Expansion, IntArray
+from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
-from fieldloc.scan_model import Pairs, ScanModel, Terms
-from fieldloc.scan_quadratics import Quadratics, log_shared, quadratics
+from fieldloc.scan_model import Pairs, ScanModel
 
 _AT_ONCE = 48  # assignments followed of one hypothesis
 _FORGOTTEN_ON_THE_WAY = 12.0  # log weight below the best one's
-_FORGOTTEN = 8.0  # the same in the end
-_DOUBTFUL = 2.0  # log evidence of an observation's landmark against clutter, below which more of them may be wrong
-_ROUNDS = 3
-_STRAIGHT = np.array([0.05, 0.05, 0.05])  # m, m, rad: a step that is no longer needs no further linearisation
 
 
 class Assignments(NamedTuple):
@@ -129,29 +123,6 @@ def _best(parent: IntArray, score: FloatArray, h: int) -> IntArray:
     return np.asarray(order[(score > score[begin[parent]] - _FORGOTTEN_ON_THE_WAY) & (rank < _AT_ONCE)])
 
 
-def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tuple[Expansion, IntArray]:
-    """Assignments near poses (h, 3) as quadratics, and their landmarks (c, n) per observation, -1 for none.
-
-    ids are rows, constants relative to all being clutter, which is left out itself.
-    """
-    pairs = model.pairs(poses, covariances)
-    matches = np.full((len(poses), len(model.range_bearing)), -1)
-    matches[pairs.pose, pairs.row] = pairs.landmark
-    if _unambiguous(pairs, len(poses), *model.may.shape):
-        parent = np.flatnonzero((matches >= 0).any(axis=1))
-        found = Assignments(parent, matches[parent], np.zeros((len(parent), 3)), np.zeros(len(parent)))
-        expanded = _expanded(model, found, poses, covariances, pairs.wider)
-        if (doubted := _without_one(expanded, found.matches)) is not None:
-            return doubted
-    found = assign(model, pairs, covariances)
-    found = found.take(np.flatnonzero((found.matches >= 0).any(axis=1)))
-    out = _expanded(model, found, poses, covariances, pairs.wider).out
-    best = np.full(len(poses), -np.inf)
-    np.maximum.at(best, out.parent, out.evidence)
-    keep = np.flatnonzero(out.evidence > best[out.parent] - _FORGOTTEN)
-    return _take(out, keep), found.matches[keep]
-
-
 def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
     """(n,) landmark of each observation, -1 for none, in the best assignment from one pose (3,)."""
     pairs = model.pairs(pose[None], np.zeros((1, 3, 3)))
@@ -171,106 +142,3 @@ def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
     out = np.full(len(gain), -1)
     out[row] = np.where(gain[row, landmark] > 0.0, landmark, -1)
     return out
-
-
-def _unambiguous(pairs: Pairs, h: int, n: int, m: int) -> bool:
-    """Whether no observation may be two landmarks, and no landmark two observations, from any one pose."""
-    return bool(
-        len(pairs.pose) <= 1
-        or max(np.bincount(pairs.pose * n + pairs.row).max(), np.bincount(pairs.pose * m + pairs.landmark).max()) == 1
-    )
-
-
-class _Expanded(NamedTuple):
-    """whole: with the shared errors, from `terms` in the tangent at the parent's pose; weighted (c, n, 2, k + 1):
-    Jacobian and error of each observation, weighted."""
-
-    out: Expansion
-    whole: Quadratics
-    terms: Terms
-    weighted: FloatArray
-
-
-def _expanded(
-    model: ScanModel, found: Assignments, poses: FloatArray, covariances: FloatArray, wider: FloatArray | None
-) -> _Expanded:
-    """At their parents among poses (h, 3), straight where they lead."""
-    origin, covariance = poses[found.parent], covariances[found.parent]
-    step = found.step
-    each = np.arange(len(step))
-    moved = bool(step.any())
-    for _ in range(_ROUNDS):
-        terms = model.terms(se2.retract(origin, step) if moved else origin, found.matches, wider)
-        if moved:
-            jacobian = terms.jacobian[..., :3] @ se2.right_jacobian(step)[:, None]
-            terms.error[:] -= (jacobian @ step[:, None, :, None])[..., 0]
-            terms.jacobian[..., :3] = jacobian
-        whole, weighted = quadratics(terms)
-        out = Expansion(found.parent, each, *whole.of_pose(), covariance)
-        if (np.abs(out.step - step) < _STRAIGHT).all():
-            break
-        step, moved = out.step, True
-    return _Expanded(out, whole, terms, weighted)
-
-
-def _without_one(found: _Expanded, matches: IntArray) -> tuple[Expansion, IntArray] | None:
-    """The assignments of all that has its landmark, and those with one left out that is worth a doubt.
-
-    None where one is so doubtful that more of them may be wrong.
-    """
-    full, whole, terms, weighted = found
-    size = weighted.shape[-1] - 1
-    step, updated = full.step, full.updated
-    if size > 3:
-        prior = np.zeros((len(step), size, size))
-        prior[:, :3, :3] = full.covariance
-        prior[:, range(3, size), range(3, size)] = 1.0
-        updated = np.asarray(np.linalg.solve(np.eye(size) + prior @ whole.information, prior))
-        step = (updated @ whole.gradient[:, :, None])[..., 0]
-    # how likely each is beside the others: the innovation without it, from the residual with it
-    left = terms.error + (terms.jacobian @ step[:, None, :, None])[..., 0]
-    explained = weighted[..., :size] @ updated[:, None] @ np.swapaxes(terms.jacobian, -1, -2)
-    a, b = 1.0 - explained[..., 0, 0], -explained[..., 0, 1]
-    c, d = -explained[..., 1, 0], 1.0 - explained[..., 1, 1]
-    det = np.maximum(a * d - b * c, 1e-300)
-    pull = (terms.weight @ left[..., None])[..., 0]
-    misfit = left[..., 0] * (d * pull[..., 0] - b * pull[..., 1]) + left[..., 1] * (a * pull[..., 1] - c * pull[..., 0])
-    gain = np.where(matches >= 0, terms.log_peak + 0.5 * np.log(det) - 0.5 * misfit / det, np.inf)
-    if (gain > _FORGOTTEN).all():
-        return full, matches
-    if (gain < _DOUBTFUL).any():
-        return None
-    row, seen = np.nonzero((gain < _FORGOTTEN) & ((matches >= 0).sum(axis=1) > 1)[:, None])
-    error, jacobian, of_it = terms.error[row, seen], terms.jacobian[row, seen], weighted[row, seen]
-    back = np.swapaxes(jacobian, -1, -2) @ of_it
-    constant = whole.constant[row] - terms.log_peak[row, seen] + 0.5 * (error * of_it[..., size]).sum(axis=1)
-    if terms.of_shared is not None:
-        of_all = terms.of_shared.sum(axis=1)[row]
-        constant += log_shared(of_all - terms.of_shared[row, seen]) - log_shared(of_all)
-    fewer = Quadratics(
-        constant, whole.gradient[row] + back[..., size], whole.information[row] - back[..., :size]
-    ).of_pose()
-    rows = np.concatenate([np.arange(len(matches)), row])
-    others = matches[rows]
-    others[np.arange(len(matches), len(rows)), seen] = -1
-    return Expansion(
-        full.parent[rows],
-        np.arange(len(rows)),
-        np.concatenate([full.constant, fewer.constant]),
-        np.concatenate([full.gradient, fewer.gradient]),
-        np.concatenate([full.information, fewer.information]),
-        full.covariance[rows],
-    ), others
-
-
-def _take(full: Expansion, rows: IntArray) -> Expansion:
-    if len(rows) == len(full.ids):
-        return full
-    return Expansion(
-        full.parent[rows],
-        full.ids[rows],
-        full.constant[rows],
-        full.gradient[rows],
-        full.information[rows],
-        full.covariance[rows],
-    )

@@ -23,8 +23,9 @@ from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
-from fieldloc.scan_assignments import expand, likeliest
+from fieldloc.scan_assignments import likeliest
 from fieldloc.scan_coverage import Misses
+from fieldloc.scan_expansion import expand
 from fieldloc.scan_factors import landmark_factors, seen_in_robot
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
 from fieldloc.scan_fix import scan_fixes

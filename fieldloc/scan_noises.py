@@ -9,7 +9,7 @@ from fieldloc import pose as se2
 from fieldloc.measurements import LandmarkScan
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation, inflation
-from fieldloc.scan_assignments import expand
+from fieldloc.scan_expansion import expand
 from fieldloc.scan_mixture import ScanMixture
 from fieldloc.scan_noise import AS_STATED, UNLEARNED, NoisePrior, ScanNoise
 from fieldloc.scan_noise_learning import NoiseLearner, ScanErrors

@@ -51,7 +51,8 @@ def dense(stated: FloatArray, noise: ScanNoise, wider: FloatArray | None = None)
     longer[::2] = np.sqrt(stated[:, 0, 0])
     turned[1::2] = np.sqrt(stated[:, 1, 1].mean())
     out += noise.shared_range * wider[2] * np.outer(longer, longer)
-    return out + noise.shared_bearing * wider[3] * np.outer(turned, turned)
+    out += noise.shared_bearing * wider[3] * np.outer(turned, turned)
+    return out
 
 
 def surveyed_too(covariance: FloatArray, sensor: FloatArray, which: FloatArray, field: FieldMap) -> FloatArray:
