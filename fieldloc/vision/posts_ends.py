@@ -13,8 +13,11 @@ from fieldloc.vision.turf import Turf
 
 _MIDDLE = 0.25, 0.75  # of the width: where a foot is nearly level
 _OUTER = 0.06, 0.6  # of the width from the outer edge: beside the bar that the post carries
-_REACH = 0.8  # of the width, up and down
-_REACH_PX = 5.0, 24.0
+_REACH = 1.2  # of the width, up and down
+_NEAR_PX = 5.0  # up and down from where the hue changes
+_GREEN = 0.22  # of the way from the post's hue to the turf's: in the sun turf is nearly white
+_NEARLY = 0.6  # as steep as the steepest
+_REACH_PX = 6.0, 24.0
 _COLUMNS = 5, 15
 _LEAST_STEP = 0.3  # of what post and turf differ: with less, no foot is seen
 _LEAST_CONTRAST = 10.0  # of 255, between a top and what is above it
@@ -32,8 +35,13 @@ def foot_of(
 
     foot_v: where it is roughly. own: (3,) the post's colour.
     """
-    towards = turf.colour - own
-    found = _steps(picture, edges, foot_v, _MIDDLE, towards, 1, _LEAST_STEP)
+    near_v = _hue_change(picture, edges, foot_v, own, turf.colour)
+    if near_v is None:
+        return None
+    v = np.clip(np.rint(near_v + np.array([2.0, 3.0, 4.0])), 0, len(picture) - 1).astype(np.intp)
+    middle = np.clip(np.rint(0.5 * (edges[0] + edges[1]) @ np.stack([np.ones(3), v])), 0, picture.shape[1] - 1)
+    below = picture[v, middle.astype(np.intp)].mean(axis=0)
+    found = _steps(picture, edges, near_v, _MIDDLE, below - own, 1, _LEAST_STEP, _NEAR_PX)
     if found is None:
         return None
     places, rows, light_rows = found
@@ -59,6 +67,25 @@ def top_of(
     return _level(np.sqrt(1.0 - (2.0 * places_found - 1.0) ** 2), rows, light_rows)
 
 
+def _hue_change(picture: UInt8Array, edges: Lines, foot_v: float, own: FloatArray, turf: FloatArray) -> float | None:
+    """The row at which the post's hue becomes the turf's, whatever the light on both, near foot_v."""
+    reach = float(np.clip(_REACH * _width(edges, foot_v), *_REACH_PX))
+    v = np.arange(max(0, int(foot_v - reach)), min(len(picture) - 1, int(foot_v + reach)) + 1)
+    left, right = edges[0][0] + edges[0][1] * v, edges[1][0] + edges[1][1] * v
+    column = np.rint(left + np.array([[0.35], [0.5], [0.65]]) * (right - left)).astype(np.intp)
+    if len(v) < 4 or (column < 0).any() or (column >= picture.shape[1]).any():
+        return None
+    colours = np.stack([own, turf, *picture[v, column].mean(axis=0)])
+    hue = colours / (colours.sum(axis=1, keepdims=True) + 30.0)
+    towards = hue[1] - hue[0]
+    share = (hue[2:] - hue[0]) @ towards / max(float(towards @ towards), 1e-9)
+    green = share > _GREEN
+    begins = np.flatnonzero(green[:-1] & green[1:])
+    if not len(begins) or green[0]:
+        return None
+    return float(v[begins[0]]) - 0.5
+
+
 def _width(edges: Lines, v: float) -> float:
     return float((edges[1] - edges[0]) @ (1.0, v))
 
@@ -71,14 +98,15 @@ def _steps(
     direction: FloatArray,
     outwards: int,
     least: float,
+    most_px: float = np.inf,
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Places across the post and the rows of the step in each, by numbers and by light.
 
     outwards: 1 where the post ends below, -1 above. direction: (3,) in colour, from the post to what is beyond; `least`
-    of it is a step.
+    of it is a step. most_px: up and down from near_v.
     """
     width = _width(edges, near_v)
-    reach = float(np.clip(_REACH * width, *_REACH_PX))
+    reach = min(float(np.clip(_REACH * width, *_REACH_PX)), most_px)
     height, columns = picture.shape[:2]
     v = np.rint(near_v).astype(np.intp) + outwards * np.arange(-round(reach), round(reach) + 1)
     v = v[(v >= 0) & (v < height)]
@@ -103,7 +131,11 @@ def _steps(
 def _step(profiles: FloatArray, least: float) -> FloatArray:
     """(k,) where along profiles (k, s) the steepest rise is half done; NaN where it is less than `least` of numbers."""
     change = profiles[:, 2:] - profiles[:, :-2]
-    peak = change[:, 1:-1].argmax(axis=1) + 1
+    inner = change[:, 1:-1]
+    # the first of those that are nearly as steep as the steepest: a line or a shadow may come after the end
+    steep = inner >= _NEARLY * inner.max(axis=1, keepdims=True)
+    summit = (inner >= change[:, :-2]) & (inner >= change[:, 2:])
+    peak = (steep & summit).argmax(axis=1) + 1
     each, last = np.arange(len(profiles)), profiles.shape[1] - 1
     before, high, after = change[each, peak - 1], change[each, peak], change[each, peak + 1]
     fastest = peak + 1 + np.clip(0.5 * (before - after) / np.minimum(before - 2.0 * high + after, -1e-6), -1.0, 1.0)

@@ -169,11 +169,12 @@ def _ends(strips: Strips, view: View, turf: Turf, own: FloatArray) -> tuple[Floa
     first = np.maximum(strips.rows[:, 0] - reach, 0)
     last = np.minimum(strips.rows[:, 1] + reach, len(view.picture) - 1)
     v = first[:, None] + (last - first)[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
-    upper, middle = _seen(strips, v, view, own)
+    upper, middle, level = _seen(strips, v, view, own)
     # in light and in shade a post keeps its hue, and so does turf
     hue, own_hue, turf_hue = _hue(middle), _hue(own)[:, None], _hue(turf.colour)
     grassy = _total(np.abs(hue - own_hue)) >= _total(np.abs(hue - turf_hue))
-    grassy |= turf.at(np.stack([0.5 * (strips.left_at(v) + strips.right_at(v)), v], axis=-1))
+    # a line before the foot is of a post's colour, and so is what is beside it
+    grassy |= level & turf.at(np.stack([0.5 * (strips.left_at(v) + strips.right_at(v)), v], axis=-1))
     lower = ~grassy & (_total(middle) > _DARKEST * _total(own)[:, None])
     step = np.maximum(v[:, 1] - v[:, 0], 1e-9)
     gap = np.maximum(1, np.round(np.maximum(_GAP * length, 3.0) / step)).astype(np.intp)
@@ -194,16 +195,18 @@ def _ends(strips: Strips, view: View, turf: Turf, own: FloatArray) -> tuple[Floa
     return np.stack(tops, axis=1), foot_v
 
 
-def _seen(strips: Strips, v: FloatArray, view: View, own: FloatArray) -> tuple[list[Mask], FloatArray]:
-    """Where (n, k) the inside has its colour and the left side less of it, so of the right; what the inside is."""
+def _seen(strips: Strips, v: FloatArray, view: View, own: FloatArray) -> tuple[list[Mask], FloatArray, Mask]:
+    """Where (n, k) the inside has its colour and the left side less of it, so of the right; what the inside is; where
+    both sides are as the inside."""
     left, right = strips.left_at(v), strips.right_at(v)
     aside = strips.aside_px[:, None]
     middle = np.mean([view.colours_at(left + f * (right - left), v) for f in (0.3, 0.5, 0.7)], axis=0)
     level, contrast = view.likeness_of(own)[:, None], strips.contrast[:, None]
     inside = view.likeness_of(middle)
     same = inside > level - np.maximum(12.0, 0.5 * contrast)
-    sides = view.likeness_at(left - aside, v), view.likeness_at(right + aside, v)
-    return [same & (inside - side > 0.3 * contrast) for side in sides], middle
+    sides = np.stack([view.likeness_at(left - aside, v), view.likeness_at(right + aside, v)])
+    level_sides = np.abs(sides - inside).max(axis=0) < 0.3 * contrast
+    return [same & (inside - side > 0.3 * contrast) for side in sides], middle, level_sides
 
 
 def _total(colours: FloatArray) -> FloatArray:
@@ -240,8 +243,8 @@ def _standing(strips: Strips, foot_v: FloatArray, length: FloatArray, turf: Turf
 
 
 def _flanks(strips: Strips, top_v: FloatArray, foot_v: FloatArray, turf: Turf) -> FloatArray:
-    """(n,) the share of turf beside the upper part."""
+    """(n,) the share of turf beside the upper part, on the side where there is less."""
     v = top_v[:, None] + np.linspace(0.05, 0.35, 4) * (foot_v - top_v)[:, None]
     aside = 2.0 + 0.5 * np.maximum(3.0, strips.width_px)[:, None]
     u = np.stack([strips.left_at(v) - aside, strips.right_at(v) + aside])
-    return np.asarray(turf.at(np.stack([u, np.broadcast_to(v, u.shape)], axis=-1)).mean(axis=(0, 2)))
+    return np.asarray(turf.at(np.stack([u, np.broadcast_to(v, u.shape)], axis=-1)).mean(axis=2).min(axis=0))
