@@ -1,4 +1,9 @@
-"""Straight pieces of white -> lines with both edges, width and a covariance from their own residuals."""
+"""Straight pieces of white -> lines with both edges, width and a covariance from their own residuals.
+
+A line's middle is the one between its two edges in the picture. Perspective puts the middle on the ground elsewhere: a
+line w pixels wide and V pixels below the horizon is seen about w^2 / 4V lower than its middle is, half a pixel where
+w = 30 and V = 400. Who wants that exact projects both of its edges.
+"""
 
 from dataclasses import dataclass
 
