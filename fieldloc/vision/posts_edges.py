@@ -130,8 +130,8 @@ def _fitted(u: FloatArray, v: FloatArray, label: NDArray[np.intp]) -> tuple[Floa
         weight = 1.0 / (1.0 + (1.5 * residual) ** 2)
     on_line = np.abs(residual) < 1.2
     first, last = np.full(groups, np.inf), np.full(groups, -np.inf)
-    np.minimum.at(first, label[on_line], v[on_line])
-    np.maximum.at(last, label[on_line], v[on_line])
+    there, rows_there = label[on_line], v[on_line]  # rows ascend: what is written last stays
+    last[there], first[there[::-1]] = rows_there, rows_there[::-1]
     rows = last - first + 1.0
     straight = (rows >= _LEAST_ROWS) & (np.bincount(label, on_line, minlength=groups) >= 0.6 * rows)
     return np.stack([intercept, slope], axis=1)[straight], np.stack([first, last], axis=1)[straight]

@@ -15,7 +15,7 @@ _STEEPER = 0.05  # sideways per downwards, one edge than the other
 _LEAST_OVERLAP = 0.5  # of the shorter edge
 _LEAST_ROWS_PX = 8.0
 _PLACES = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # across the inside
-_HEIGHTS = np.linspace(0.1, 0.9, 7)  # along what both edges share
+_HEIGHTS = np.linspace(0.1, 0.9, 5)  # along what both edges share
 _MOST = 28  # pairs go on, the clearest first
 
 

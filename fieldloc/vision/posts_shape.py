@@ -243,8 +243,8 @@ def _standing(strips: Strips, foot_v: FloatArray, length: FloatArray, turf: Turf
 
 
 def _flanks(strips: Strips, top_v: FloatArray, foot_v: FloatArray, turf: Turf) -> FloatArray:
-    """(n,) the share of turf beside the upper part, on the side where there is less."""
+    """(n,) the share of turf beside the upper part."""
     v = top_v[:, None] + np.linspace(0.05, 0.35, 4) * (foot_v - top_v)[:, None]
     aside = 2.0 + 0.5 * np.maximum(3.0, strips.width_px)[:, None]
     u = np.stack([strips.left_at(v) - aside, strips.right_at(v) + aside])
-    return np.asarray(turf.at(np.stack([u, np.broadcast_to(v, u.shape)], axis=-1)).mean(axis=2).min(axis=0))
+    return np.asarray(turf.at(np.stack([u, np.broadcast_to(v, u.shape)], axis=-1)).mean(axis=(0, 2)))
