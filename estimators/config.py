@@ -154,7 +154,7 @@ class Sensor:
     It is estimated along with the poses; a sigma of 0 takes it as known.
     """
 
-    bearing_offset_sigma_rad: float = 0.02
+    bearing_offset_sigma_rad: float = 0.01
     delay_sigma_s: float = 0.05
     bearing_offset_rad: float = 0.0
     delay_s: float = 0.0
