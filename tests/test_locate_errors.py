@@ -9,7 +9,7 @@ from fieldloc.field import load_field
 from fieldloc.ground import robot_from_camera
 from fieldloc.locate import CameraPrior, LocateSettings
 from fieldloc.locate.attitude import attitudes
-from fieldloc.locate.errors import Cameras, circle_errors, line_errors, post_errors, post_jacobians
+from fieldloc.locate.errors import Cameras, circle_errors, circle_jacobians, line_errors, post_errors, post_jacobians
 from fieldloc.locate.matching import Noise, match
 from fieldloc.locate.shape import shape_of
 from fieldloc.locate.sight import sight_of
@@ -62,7 +62,7 @@ def test_jacobians_are_those_of_the_errors(look: Look) -> None:
     if len(sight.circle_rays):
         circle = SHAPE.circles[0]
         numeric = central_difference(lambda s: circle_errors(Cameras.at(s[None]), sight, circle)[0].ravel(), state)
-        exact = circle_errors(Cameras.at(state[None]), sight, circle)[1].reshape(-1, 7)[:, :6]
+        exact = circle_jacobians(Cameras.at(state[None]), sight, circle).reshape(-1, 7)[:, :6]
         np.testing.assert_allclose(exact, numeric, atol=0.05)
 
 

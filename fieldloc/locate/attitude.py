@@ -23,6 +23,7 @@ _WIDE_PITCHES = np.radians([-15.0, 0.0, 15.0, 30.0, 45.0, 60.0])
 _ANNEALED_PX = (25.0, 12.0, 6.0)  # noise that is allowed for, from iteration to iteration, of all starts
 _FINE_PX = (3.0, 1.0, 0.3, 0.3)  # and then of the best of them
 _MOST = 12
+_LOOSEST = 4.0
 _MARGIN = 12.0  # so much worse than the best is none: about one line that has to be left out
 _CIRCLE_RAD = np.radians(2.0)  # how well an ellipse shows how the camera is turned
 _SAME_RAD = np.radians(1.2)
@@ -86,7 +87,7 @@ def attitudes(sight: Sight, prior: CameraPrior, most: int = 3) -> Attitudes:
     angles, target, pull = angles[best], target[best], pull[best]
     for widen_px in _FINE_PX:
         angles, _ = _fit(angles, target, pull, sight, lines, posts, widen_px)
-    _, scores = _fit(angles, target, pull, sight, lines, posts, 1.0)
+    _, scores = _fit(angles, target, pull, sight, lines, posts, _FINE_PX[-1])
     angles[:, 0] = (angles[:, 0] + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
     order = np.argsort(-scores, kind="stable")
     kept: list[int] = []
@@ -132,6 +133,8 @@ def _fit(
     states = np.zeros((count, 6))
     states[:, 2], states[:, 4:] = angles[:, 0], angles[:, 1:]
     rotation, axes = rotations(states), turn_axes(states)
+    # while much noise is allowed for the prior is to weigh little more than it will against the lines in the end
+    pull = pull * np.clip(widen_px / _FINE_PX[-1], 1.0, _LOOSEST)
     off = (angles[:, 1:] - target) / pull
     information, gradient = np.zeros((count, 3, 3)), np.zeros((count, 3))
     information[:, 0, 0] = 1e-3

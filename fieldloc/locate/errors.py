@@ -45,9 +45,10 @@ class Cameras:
         the focal length."""
         out = np.empty((*by_centre.shape[:-1], 7))
         out[..., 6] = by_focal
-        out[..., [0, 1, 3]] = by_centre
+        out[..., :2], out[..., 3] = by_centre[..., :2], by_centre[..., 2]
         flat = by_turn.reshape(len(self.states), -1, 3) @ np.swapaxes(self.axes, 1, 2)
-        out[..., [2, 4, 5]] = flat.reshape(by_turn.shape)
+        turns = flat.reshape(by_turn.shape)
+        out[..., 2], out[..., 4:6] = turns[..., 0], turns[..., 1:]
         return out
 
 
@@ -198,29 +199,55 @@ def _seen_points(
     return np.where(before, along, 1.0), before, cameras.turned(points.by_ray)[:, :, None]
 
 
-def circle_errors(cameras: Cameras, sight: Sight, circle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of the circle's points to a circle (3,) of the map: errors (k, c), Jacobian (k, c, 7), pixels per metre (k, c);
-    what is above the horizon is off by far."""
-    rays = cameras.turned(sight.circle_rays)
-    down = -rays[..., 2]
-    below = down > 1e-3
-    down = np.where(below, down, 1.0)
-    height = cameras.centre[:, 2:]
-    level = rays[..., :2] / down[..., None]
-    away = cameras.centre[:, None, :2] + height[..., None] * level - circle[:2]
-    far = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-6)
-    radial = away / far[..., None]
-    outward = np.sum(radial * level, axis=-1)
-    by_ray = np.empty_like(rays)
-    by_ray[..., :2] = radial
-    by_ray[..., 2] = outward
-    by_ray *= (height / down)[..., None]
-    by_pixel = np.swapaxes(sight.circle_by_pixel, 1, 2)  # (c, 2, 3)
-    slope = np.einsum("kci,kcpi->kcp", by_ray, cameras.turned(by_pixel))
-    scale = np.maximum(np.hypot(slope[..., 0], slope[..., 1]), _TINY)
-    by_centre = np.empty_like(rays)
-    by_centre[..., :2], by_centre[..., 2] = radial, outward
-    by_focal = -np.einsum("kcp,cp->kc", slope, sight.circle_out) / scale
-    jacobian = cameras.columns(by_centre / scale[..., None], cross(rays, by_ray) / scale[..., None], by_focal)
-    error = np.where(below, np.clip((far - circle[2]) / scale, -_FAR_PX, _FAR_PX), _FAR_PX)
-    return error, np.where(below[..., None], jacobian, 0.0), 1.0 / scale
+def circle_errors(cameras: Cameras, sight: Sight, circle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Of the circle's points to a circle (3,) of the map: errors (k, c), pixels per metre (k, c); what is above the
+    horizon is off by far."""
+    seen = _SeenCircle.of(cameras, sight, circle)
+    error = np.clip((seen.far - circle[2]) / seen.scale, -_FAR_PX, _FAR_PX)
+    return np.where(seen.below, error, _FAR_PX), 1.0 / seen.scale
+
+
+def circle_jacobians(cameras: Cameras, sight: Sight, circle: FloatArray) -> FloatArray:
+    """(k, c, 7) of `circle_errors`."""
+    seen = _SeenCircle.of(cameras, sight, circle)
+    scale = seen.scale[..., None]
+    by_centre = np.empty_like(seen.rays)
+    by_centre[..., :2], by_centre[..., 2] = seen.radial, seen.outward
+    by_focal = -np.einsum("kcp,cp->kc", seen.slope, sight.circle_out) / seen.scale
+    jacobian = cameras.columns(by_centre / scale, cross(seen.rays, seen.by_ray) / scale, by_focal)
+    return np.where(seen.below[..., None], jacobian, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SeenCircle:
+    """Of points, on the ground: distances to the circle's middle (k, c), directions from it (k, c, 2), how far out they
+    go for each height of the camera (k, c); the distance's change with the ray (k, c, 3) and the pixel (k, c, 2), and
+    the length of that (k, c), metres."""
+
+    rays: FloatArray
+    below: NDArray[np.bool_]
+    far: FloatArray
+    radial: FloatArray
+    outward: FloatArray
+    by_ray: FloatArray
+    slope: FloatArray
+    scale: FloatArray
+
+    @staticmethod
+    def of(cameras: Cameras, sight: Sight, circle: FloatArray) -> "_SeenCircle":
+        rays = cameras.turned(sight.circle_rays)
+        below = rays[..., 2] < -1e-3
+        down = np.where(below, -rays[..., 2], 1.0)
+        height = cameras.centre[:, 2:]
+        level = rays[..., :2] / down[..., None]
+        away = (cameras.centre[:, :2] - circle[:2])[:, None] + height[..., None] * level
+        far = np.sqrt(np.maximum(away[..., 0] ** 2 + away[..., 1] ** 2, 1e-12))
+        radial = away / far[..., None]
+        outward = radial[..., 0] * level[..., 0] + radial[..., 1] * level[..., 1]
+        by_ray = np.empty_like(rays)
+        by_ray[..., :2], by_ray[..., 2] = radial, outward
+        by_ray *= (height / down)[..., None]
+        in_camera = by_ray @ cameras.rotation
+        slope = (in_camera[..., None, :] @ sight.circle_by_pixel)[..., 0, :]
+        scale = np.maximum(np.sqrt(slope[..., 0] ** 2 + slope[..., 1] ** 2), _TINY)
+        return _SeenCircle(rays, below, far, radial, outward, by_ray, slope, scale)

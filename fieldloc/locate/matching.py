@@ -197,7 +197,7 @@ def _match_circle(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]
     log_clutter = -np.log(sight.camera.height_px)
     numbers = min(_CIRCLE_NUMBERS, float(points))
     for row, circle in enumerate(noise.shape.circles):
-        error, _, px_per_m = circle_errors(cameras, sight, circle)
+        error, px_per_m = circle_errors(cameras, sight, circle)
         variance = noise.of_circle(px_per_m)
         each = -0.5 * np.minimum(error * error / variance, 1e6) - 0.5 * (np.log(variance) + _LOG_2PI) - log_clutter
         gain = numbers * each.mean(axis=1) + log_odds

@@ -13,6 +13,7 @@ from fieldloc.solution_mixture import SolutionMixture
 from fieldloc.stacks import PoseStack
 
 _LEAST = 1e-12
+_LEAST_NONE = 0.01  # one picture is never surer than that
 
 
 def mixture(
@@ -42,7 +43,7 @@ def mixture(
     return SolutionMixture(
         stamp_ns,
         ((PoseStack(poses, covariances), weights),),
-        float(np.log(max(located.none, _LEAST))),
+        float(np.log(max(located.none, _LEAST_NONE))),
         symmetric=len(field.symmetries) > 0,
         area_m2=float((x_max - x_min) * (y_max - y_min)),
         by_sight=True,

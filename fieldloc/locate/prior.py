@@ -1,7 +1,7 @@
 """What is known of the camera's height, pitch and roll before the picture is looked at."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class CameraPrior:
 
     mean: FloatArray
     covariance: FloatArray
+    precision: FloatArray = field(init=False, repr=False)
+    """(3, 3) the inverse of the covariance."""
 
     def __post_init__(self) -> None:
         if np.shape(self.mean) != (3,) or np.shape(self.covariance) != (3, 3):
@@ -34,16 +36,12 @@ class CameraPrior:
             raise ValueError(f"the camera's height is {self.mean[0]}, must be positive")
         if np.linalg.eigvalsh(self.covariance)[0] <= 0.0:
             raise ValueError("the covariance of a camera's prior is not positive definite")
+        object.__setattr__(self, "precision", np.linalg.inv(self.covariance))
 
     @property
     def sigmas(self) -> FloatArray:
         """(3,)."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
-
-    @property
-    def precision(self) -> FloatArray:
-        """(3, 3) the inverse of the covariance."""
-        return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
 
     @property
     def knows_height(self) -> bool:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldloc.locate.errors import Cameras, circle_errors, line_errors, post_errors, post_jacobians
+from fieldloc.locate.errors import Cameras, circle_errors, circle_jacobians, line_errors, post_errors, post_jacobians
 from fieldloc.locate.matching import Matches, Noise
 from fieldloc.locate.prior import CameraPrior
 from fieldloc.pose import FloatArray, wrap
@@ -76,7 +76,8 @@ def linearise(cameras: Cameras, noise: Noise, matches: Matches, prior: CameraPri
         used = (matches.circle == row_of_map).astype(np.float64)
         if not used.any():
             continue
-        error, jacobian, px_per_m = circle_errors(cameras, sight, circle)
+        error, px_per_m = circle_errors(cameras, sight, circle)
+        jacobian = circle_jacobians(cameras, sight, circle)
         sigma = np.sqrt(noise.of_circle(px_per_m))
         points = error.shape[1]
         each = np.repeat(used[:, None], points, axis=1)
