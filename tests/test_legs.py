@@ -58,7 +58,7 @@ def test_a_minute_or_two_tells_that_it_is_louder_than_thought() -> None:
 
 def test_no_outlier_has_more_than_a_say() -> None:
     plain = walked(Legs(MotionNoise()), np.ones(2), 60, np.random.default_rng(2))
-    wild = walked(Legs(MotionNoise()), np.ones(2), 60, np.random.default_rng(2), wild=20)
+    wild = walked(Legs(MotionNoise()), np.ones(2), 60, np.random.default_rng(2), wild=12)
     assert (wild < 3.0 * plain).all()
 
 
@@ -68,6 +68,24 @@ def test_noise_that_is_known_is_left_alone() -> None:
 
 def test_where_nothing_is_known_the_noise_is_thought_to_be_what_it_is_on_the_average() -> None:
     np.testing.assert_allclose(Legs(MotionNoise(log_scale_sigma=1.0)).scales, np.exp(0.5))
+
+
+def test_the_noise_of_the_way_and_that_of_turns_scale_by_themselves() -> None:
+    steps = []
+    for scales in (np.ones(2), np.array([3.0, 1.0]), np.array([1.0, 5.0])):
+        motion = HeldVelocity(KNOWN_NOISE)
+        motion.scales = scales
+        motion.advance(0)
+        motion.hold(Odometry(0, np.array([0.5, 0.0, 0.0])))
+        step = motion.advance(ns(1.0))
+        assert step is not None
+        np.testing.assert_allclose(step.parts.sum(axis=0), step.covariance)
+        steps.append(step)
+    plain, way, turns = steps
+    # straight ahead noise of the way turns nobody, and none of the turns is along the way
+    assert plain.parts[0][2, 2] == plain.parts[1][0, 0] == 0.0
+    np.testing.assert_allclose(way.parts, plain.parts * [[[3.0]], [[1.0]]])
+    np.testing.assert_allclose(turns.parts, plain.parts * [[[1.0]], [[5.0]]])
 
 
 def held() -> HeldVelocity:
