@@ -19,7 +19,8 @@ _SHARE = (0.25, 0.6)  # of a circle
 
 
 def log_missed(cameras: Cameras, sight: Sight, shape: Shape, matches: Matches, settings: LocateSettings) -> FloatArray:
-    """(k,) log probability that all of the map's things in sight that match nothing were overlooked."""
+    """(k,) log probability that all of the map's things in sight that match nothing were overlooked, and as much of its
+    lines as is in sight beside what was found of them: a corner and a crossing differ in that."""
     out = np.zeros(len(cameras.states))
     share = np.linspace(0.0, 1.0, _SAMPLES)[:, None] * shape.lengths[:, None, None]
     angle = np.linspace(0.0, 2.0 * np.pi, _SAMPLES, endpoint=False)
@@ -38,9 +39,9 @@ def log_missed(cameras: Cameras, sight: Sight, shape: Shape, matches: Matches, s
         steps = np.sqrt(steps[..., 0] ** 2 + steps[..., 1] ** 2)
         length = np.where(seen[:, :, 1:] & seen[:, :, :-1], steps, 0.0).sum(axis=2)
         width = np.max(np.where(seen, wide, 0.0), axis=2) * shape.line_width_m
-        sure = _ramp(length, _LONG_PX) * _ramp(width, _WIDE_PX)
-        found = (matches.lines[:, :, None] == np.arange(len(shape.starts))).any(axis=1)
-        out = out + np.log1p(-settings.seen_line * np.where(found, 0.0, sure)).sum(axis=1)
+        found = sight.line_lengths @ (matches.lines[:, :, None] == np.arange(len(shape.starts)))
+        sure = _ramp(length - found, _LONG_PX) * _ramp(width, _WIDE_PX)
+        out = out + np.log1p(-settings.seen_line * sure).sum(axis=1)
     if len(shape.circles):
         size = (len(out), len(shape.circles), _SAMPLES)
         seen, wide = visible[1].reshape(size), scale[1].reshape(size)

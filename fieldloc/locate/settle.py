@@ -19,7 +19,7 @@ from fieldloc.pose import FloatArray
 
 _AMOUNTS = np.array([0.001, 0.02, 0.2, 1.0, 5.0])  # of the model's noise, as variances,
 _LOG_OFTEN = np.log(np.array([0.35, 0.28, 0.19, 0.12, 0.06]))  # and how often that much is met
-_HIDDEN = 5.0  # times as much as it shows may a fit hide
+_HIDDEN = 4.0  # times as much as it shows may a fit hide
 _LEAST_NUMBERS = 4  # of a pose, height and attitude known somewhat
 _UNKNOWN = np.array([1.5, 1.5, 0.5])  # standard deviations of what is no pose any more
 _MARGIN = 25.0  # so much less evidence than the best is none
