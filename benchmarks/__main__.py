@@ -2,9 +2,16 @@
 
 import sys
 
-from benchmarks import ambiguity, engines, pareto, reading, writing
+from benchmarks import ambiguity, engines, pareto, reading, vision, writing
 
-BENCHMARKS = {"ambiguity": ambiguity, "engines": engines, "pareto": pareto, "reading": reading, "writing": writing}
+BENCHMARKS = {
+    "ambiguity": ambiguity,
+    "engines": engines,
+    "pareto": pareto,
+    "reading": reading,
+    "vision": vision,
+    "writing": writing,
+}
 
 
 def main(arguments: list[str]) -> int:
