@@ -46,18 +46,22 @@ def read_colours(table: TomlTable, key: str) -> FieldColours:
     needs = f"one or several of {', '.join(COLOURS)} or '#rrggbb'"
     found = []
     for name in table.strings(key, needs):
-        if name in COLOURS:
-            found.append(COLOURS[name])
-        elif _HEX.fullmatch(name):
-            red, green, blue = bytes.fromhex(name[1:])
-            found.append((red, green, blue))
-        else:
+        if (colour := colour_of(name)) is None:
             table.fail(key, f"needs {needs}, got {name!r}")
+        found.append(colour)
     if not found:
         table.fail(key, f"needs {needs}, got none")
     return FieldColours(tuple(found))
 
 
+def colour_of(name: str) -> Colour | None:
+    """The colour of that name or #rrggbb, None for what is neither."""
+    if _HEX.fullmatch(name):
+        red, green, blue = bytes.fromhex(name[1:])
+        return red, green, blue
+    return COLOURS.get(name)
+
+
 def colour_name(colour: Colour) -> str:
-    """The name that `read_colours` reads back."""
+    """The name that `colour_of` reads back."""
     return next((name for name, known in COLOURS.items() if known == colour), "#{:02x}{:02x}{:02x}".format(*colour))

@@ -17,7 +17,7 @@ from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Odometry, Truth
-from logs.messages import ambiguity, camera, image, landmarks, motion
+from logs.messages import ambiguity, camera, image, landmarks, maps, motion
 from logs.messages.batch import Odd
 from logs.messages.fields import BadField, JsonObject
 
@@ -137,7 +137,7 @@ SCHEMAS = (
         ambiguity.ambiguity_from_json,
     ),
     _schema("events", Event, ambiguity.EVENT_SCHEMA, ambiguity.event_to_json, ambiguity.event_from_json),
-    _schema("field", FieldMap, landmarks.FIELD_MAP_SCHEMA, landmarks.field_map_to_json, landmarks.field_map_from_json),
+    _schema("field", FieldMap, maps.FIELD_MAP_SCHEMA, maps.field_map_to_json, maps.field_map_from_json),
 )
 BY_NAME: Mapping[str, Schema] = MappingProxyType({schema.name: schema for schema in SCHEMAS})
 BY_ROLE: Mapping[str, Schema] = MappingProxyType({schema.role: schema for schema in SCHEMAS})

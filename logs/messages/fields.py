@@ -58,6 +58,16 @@ def text_or_none(data: JsonObject, name: str) -> str | None:
     return None if data.get(name, _ABSENT) is None else text(data, name)
 
 
+def texts(data: JsonObject, name: str) -> list[str]:
+    """The strings of a list."""
+    return [text({name: item}, name) for item in _list(data, name)]
+
+
+def text_lists(data: JsonObject, name: str) -> list[list[str]]:
+    """The lists of strings of a list."""
+    return [texts({name: item}, name) for item in _list(data, name)]
+
+
 def stamp(data: JsonObject) -> int:
     """Field stamp_ns; MCAP keeps times as unsigned 64-bit numbers."""
     value = integer(data, "stamp_ns")
@@ -163,6 +173,13 @@ def _refusal(value: object, needed: str) -> str:
 def object_schema(description: str, **properties: JsonObject) -> JsonObject:
     """JSON Schema of an object that has all these properties; more may be there."""
     return {"type": "object", "description": description, "required": list(properties), "properties": dict(properties)}
+
+
+def with_optional(schema: JsonObject, **properties: JsonObject) -> JsonObject:
+    """The schema of the same object, which may have these properties too."""
+    known = schema["properties"]
+    assert isinstance(known, dict)
+    return {**schema, "properties": {**known, **properties}}
 
 
 def numeric(description: str) -> JsonObject:

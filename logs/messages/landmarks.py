@@ -1,19 +1,15 @@
-"""Range-bearing scans and the field map as JSON."""
+"""Range-bearing scans as JSON."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Raw
 
-from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan
 from logs.messages import batch
 from logs.messages.fields import (
     STAMP,
-    BadField,
     JsonObject,
-    array,
-    covariance,
     covariance_rows,
     fixed,
     list_of,
@@ -25,7 +21,6 @@ from logs.messages.fields import (
     or_null,
     stamp,
     string,
-    text,
     text_or_none,
 )
 from logs.messages.motion import PoseMessage, pose_from_json, pose_to_json, poses
@@ -48,24 +43,6 @@ LANDMARK_SCAN_SCHEMA = object_schema(
             covariance=fixed("Covariance of (range_m, bearing_rad), positive definite", 2, 2),
         ),
         "May be empty: looked, and saw none",
-    ),
-)
-FIELD_MAP_SCHEMA = object_schema(
-    "The map that the log was recorded on, in the field frame; written once",
-    name=string("Of the map"),
-    line_width_m=numeric("Width of the white lines"),
-    lines_m=list_of(fixed("Ends [[x, y], [x, y]] of a line's middle", 2, 2), "Straight lines"),
-    circles_m=list_of(fixed("[x, y, radius] of a circle's middle", 3), "Circles"),
-    landmarks=list_of(
-        object_schema(
-            "A vertical cylinder",
-            label=string("Its name, unique on the map"),
-            x_m=numeric("Of its axis"),
-            y_m=numeric("Of its axis"),
-            diameter_m=numeric("0 where it is not known"),
-            covariance_m2=fixed("Covariance of (x_m, y_m); zeros where the position is taken as exact", 2, 2),
-        ),
-        "Landmarks",
     ),
 )
 
@@ -95,49 +72,6 @@ def landmark_scan_from_json(data: JsonObject) -> LandmarkScan:
 def _seen_from_json(data: JsonObject) -> tuple[str | None, tuple[float, float], list[list[float]]]:
     range_bearing = number(data, "range_m", above=0.0), number(data, "bearing_rad")
     return text_or_none(data, "label"), range_bearing, covariance_rows(data, "covariance", 2, definite=True)
-
-
-def field_map_to_json(record: FieldMap) -> JsonObject:
-    return {
-        "name": record.name,
-        "line_width_m": float(record.line_width_m),
-        "lines_m": record.lines.tolist(),
-        "circles_m": record.circles.tolist(),
-        "landmarks": [_landmark_to_json(landmark) for landmark in record.landmarks],
-    }
-
-
-def field_map_from_json(data: JsonObject) -> FieldMap:
-    arguments = (
-        text(data, "name"),
-        array(data, "lines_m", 2, 2),
-        array(data, "circles_m", 3),
-        tuple(many(data, "landmarks", _landmark_from_json)),
-        number(data, "line_width_m", above=0.0),
-    )
-    try:
-        return FieldMap(*arguments)
-    except ValueError as error:  # what only the map as a whole can tell, such as two landmarks of one label
-        raise BadField("the map", f"is refused: {error}") from None
-
-
-def _landmark_to_json(landmark: Landmark) -> JsonObject:
-    x, y = landmark.position.tolist()
-    return {
-        "label": landmark.label,
-        "x_m": x,
-        "y_m": y,
-        "diameter_m": float(landmark.diameter_m),
-        "covariance_m2": landmark.covariance.tolist(),
-    }
-
-
-def _landmark_from_json(data: JsonObject) -> Landmark:
-    position = np.array([number(data, "x_m"), number(data, "y_m")])
-    diameter = number(data, "diameter_m")
-    if diameter < 0.0:
-        raise BadField("diameter_m", f"is {diameter:g}, must not be negative")
-    return Landmark(text(data, "label"), position, diameter, covariance(data, "covariance_m2", 2))
 
 
 class _SeenMessage(batch.Message):

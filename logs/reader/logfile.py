@@ -197,7 +197,8 @@ class LogFile:
         try:
             return self._interpreter.surroundings.mount(image.frame, image.stamp_ns)
         except Unusable as error:
-            return self.leave_out(image, str(error))
+            self.leave_out(image, str(error))
+            return None
 
     def leave_out(self, image: ImagePart, problem: str) -> None:
         """One of `images` is of no use: `warnings` counts it."""
