@@ -38,12 +38,16 @@ def add_commands(commands: Commands) -> None:
     sub.add_argument(
         "--sigma-attitude-deg", type=positive, default=3.0, metavar="S", help=f"of --pitch-deg and --roll-deg: {sigma}"
     )
-    sub.add_argument("--json", action="store_true", help="all hypotheses, the camera's attitude and what was detected")
+    sub.add_argument(
+        "--json",
+        action="store_true",
+        help="all hypotheses, with what was detected; x_m, y_m are below the camera, heading_rad is where it looks",
+    )
     sub.add_argument(
         "--overlay",
         type=Path,
         metavar="OUT.png",
-        help="the map drawn over the picture, and the hypotheses on a plan; of several images OUT-NAME.png each",
+        help="the map drawn over the picture, and the hypotheses on a plan; of several images OUT-FOLDER-NAME.png each",
     )
 
 
