@@ -127,3 +127,6 @@ def test_an_odometry_that_says_how_sure_it_is_is_taken_to_be_on_time() -> None:
     assert smoother.solution is not None
     assert smoother.solution.late_s == 0.0
     assert smoother.solution.sensor.delay_s > 0.1
+    # each sight is right where the eyes were, half a radian from where the robot is in its fastest turns
+    assert smoother.resolution is not None
+    assert (smoother.resolution.choices >= 0).mean() > 0.97
