@@ -122,3 +122,25 @@ def test_numbers_that_are_none_are_refused(call: Call, folder: Path) -> None:
         said = call("locate", folder / "photo.png", *options(folder), flag, value)
         assert said.code == 1
         assert flag in said.err
+
+
+def test_a_teams_own_detections_take_the_place_of_ours(call: Call, folder: Path, tmp_path: Path) -> None:
+    ours = json.loads(call("locate", folder / "photo.png", *options(folder), "--json").out)
+    seen = ours["detections"]
+    mine = {
+        "image": "photo.png",
+        "width_px": 640,
+        "height_px": 480,
+        "lines": [{"ends_px": one["ends_px"], "sigma_px": 0.2} for one in seen["lines"]],
+        "circles": [{"points_px": one["points_px"], "sigma_px": 0.3} for one in seen["circles"]],
+    }
+    path = tmp_path / "mine.jsonl"
+    path.write_text(json.dumps(mine) + "\n", encoding="utf-8")
+    told = json.loads(call("locate", folder / "photo.png", *options(folder), "--detections", path, "--json").out)
+    assert len(told["detections"]["lines"]) == len(mine["lines"])
+    at = [np.array([one["x_m"], one["y_m"]]) for one in told["hypotheses"][:2]]
+    assert min(float(np.hypot(*(p - TRUTH))) for p in at) < 0.1
+    path.write_text(json.dumps({**mine, "image": "other.png"}), encoding="utf-8")
+    said = call("locate", folder / "photo.png", *options(folder), "--detections", path)
+    assert (said.code, len(said.lines)) == (1, 1)
+    assert "say nothing of it" in said.err

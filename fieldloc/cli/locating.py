@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,6 +45,12 @@ def add_commands(commands: Commands) -> None:
         help="all hypotheses, with what was detected; x_m, y_m are below the camera, heading_rad is where it looks",
     )
     sub.add_argument(
+        "--detections",
+        type=Path,
+        metavar="FILE.jsonl",
+        help="what another detector found, a line of JSON for each image, instead of looking (docs/pictures.md)",
+    )
+    sub.add_argument(
         "--overlay",
         type=Path,
         metavar="OUT.png",
@@ -62,13 +69,18 @@ def _locate(options: argparse.Namespace) -> None:
         options.sigma_height_m,
         math.radians(options.sigma_attitude_deg),
     )
+    plugged = None
+    if options.detections is not None:
+        from fieldloc.vision.plugged import load_detections
+
+        plugged = load_detections(options.detections)
     told: list[dict[str, object]] = []
     failures: list[str] = []
     with bar(options, "locating") as progress:
         for i, path in enumerate(options.images):
             progress(i, len(options.images), path.name)
             try:
-                detections, located = _one(path, field, camera, prior, _overlay_path(options, path))
+                detections, located = _one(path, field, camera, prior, plugged, _overlay_path(options, path))
             except FieldlocError as error:
                 failures.append(str(error))
                 told.append({"image": str(path), "error": str(error)})
@@ -85,7 +97,12 @@ def _locate(options: argparse.Namespace) -> None:
 
 
 def _one(
-    path: Path, field: FieldMap, camera: Camera, prior: "CameraPrior", overlay: Path | None
+    path: Path,
+    field: FieldMap,
+    camera: Camera,
+    prior: "CameraPrior",
+    plugged: "Mapping[str, Detections] | None",
+    overlay: Path | None,
 ) -> "tuple[Detections, Located]":
     from fieldloc.locate import locate
     from fieldloc.vision.detect import detect
@@ -99,7 +116,12 @@ def _one(
             f"{path}: is {width} x {height} pixels, the camera {camera.width_px} x {camera.height_px}; "
             "give the camera file of that size"
         )
-    detections = detect(picture, field.colours, camera)
+    if plugged is None:
+        detections = detect(picture, field.colours, camera)
+    elif (found := plugged.get(str(path), plugged.get(path.name))) is not None:
+        detections = found
+    else:
+        raise FieldlocError(f"{path}: the detections given say nothing of it")
     located = locate(detections, camera, field, prior)
     if overlay is not None:
         data = encode(draw(picture, detections, located, camera, field), overlay.suffix or ".png")
@@ -173,7 +195,10 @@ def _record(path: Path, detections: "Detections", located: "Located") -> dict[st
                 }
                 for post in detections.posts
             ],
-            "circles": [{"ellipse": circle.ellipse.tolist()} for circle in detections.circles],
+            "circles": [
+                {"ellipse": circle.ellipse.tolist(), "points_px": circle.points_px.tolist()}
+                for circle in detections.circles
+            ],
             "corners": [{"point_px": corner.point_px.tolist(), "kind": corner.kind} for corner in detections.corners],
             "marks": [{"centre_px": mark.centre_px.tolist()} for mark in detections.marks],
         },
