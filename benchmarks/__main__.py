@@ -2,13 +2,15 @@
 
 import sys
 
-from benchmarks import ambiguity, engines, pareto, reading, vision, writing
+from benchmarks import ambiguity, bounds, engines, pareto, reading, robots, vision, writing
 
 BENCHMARKS = {
     "ambiguity": ambiguity,
+    "bounds": bounds,
     "engines": engines,
     "pareto": pareto,
     "reading": reading,
+    "robots": robots,
     "vision": vision,
     "writing": writing,
 }

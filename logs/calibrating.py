@@ -1,6 +1,6 @@
 """What the logs of one robot say of the robot: solved one by one, put together, written as settings."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from fieldloc.pose import FloatArray
 from logs.atomic import atomic_text
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
-from logs.replay import load_recording, replay
+from logs.replay import Recording, load_recording, replay
 from logs.table import NOTHING, Cell, Table
 from logs.table_text import format_columns
 
@@ -70,12 +70,19 @@ def calibrate(
     progress: Progress = unwatched,
 ) -> CalibratedRobot:
     """FieldlocError where a log cannot be localized in."""
-    if not logs:
-        raise ValueError("no logs to calibrate from")
+    return calibrate_recordings((load_recording(log, field, progress) for log in logs), config, start, progress)
+
+
+def calibrate_recordings(
+    recordings: Iterable[Recording],
+    config: Config,
+    start: FloatArray | str | None = None,
+    progress: Progress = unwatched,
+) -> CalibratedRobot:
+    """As `calibrate`; ValueError for none."""
     solutions, names, warnings, views = [], [], [], []
-    camera, on_map = None, field
-    for log in logs:
-        recording = load_recording(log, field, progress)
+    camera, on_map = None, None
+    for recording in recordings:
         smoother = Smoother(config)
         done = replay(recording, smoother, start, config, progress)
         if smoother.solution is None:
@@ -85,6 +92,8 @@ def calibrate(
         warnings += [*recording.warnings, *done.warnings]
         camera, on_map = recording.camera or camera, recording.field
         views.append(_views(recording.measurements, [one.stamp_ns for one in done.estimates], smoother.solution))
+    if not solutions:
+        raise ValueError("no logs to calibrate from")
     robot = calibrated(solutions, config)
     fit = None
     if camera is not None and on_map is not None:
