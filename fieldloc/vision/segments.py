@@ -14,6 +14,7 @@ _TOGETHER_SHARE = 0.15
 _TOGETHER_RAD = 0.012  # .. and for each pixel that it lies beyond that line's end
 _WIDTHS = 3.0  # how much wider than the widest end of a line a piece of it may be
 _FEWEST = 4  # points of a piece
+_MOST_PIECES = 200  # the longest: a field has some twenty lines, and no picture takes forever
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +90,7 @@ def _tapered(width: FloatArray) -> FloatArray:
 
 def merged(pieces: Segments) -> Segments:
     """Pieces of one line as one, from the longest on; its ends are those of the pieces farthest apart."""
-    order = np.argsort(-pieces.lengths)
+    order = np.argsort(-pieces.lengths)[:_MOST_PIECES]
     ends, width, weight = pieces.ends[order], pieces.width_px[order], pieces.lengths[order]
     kept_ends, kept_widths = [], []
     while len(ends):

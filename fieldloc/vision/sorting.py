@@ -20,6 +20,7 @@ _LOWEST_PX, _HIGHEST = 8.0, 0.35  # of the horizon above the field's border, in 
 _TAPER = 0.25  # of the logarithm of a width, beyond perspective and three standard deviations
 _BEYOND = 8  # places looked at beyond a line's end
 _STEEP = 0.6  # of a unit along a line, down the picture: what is flatter is not upright
+_TURNED = 0.1  # sine of the angle between two lines that meet
 _UPRIGHT = 5  # of them with white going on and turf on neither side: upright
 
 
@@ -41,9 +42,12 @@ def sort_out(
     good = ~_covered(ends, width) & ~upright & _tapers_as_turf(ends, width, sigma, turf, grey.shape[0])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     short = length < np.minimum(_MARK_WIDTHS * width.mean(axis=1), _MARK_LENGTH * grey.shape[1])
-    lonely = ~_near_others(ends, width, good & ~short, circle)
+    lonely = ~_near_others(ends, width, good & ~short, circle).any(axis=1)
     mark = short & free.all(axis=1) & lonely
-    stub = lonely & (length < _STUB_WIDTHS * width.max(axis=1)) & ~_at_border(ends, width, grey)
+    at_border = _at_border(ends, width, grey)
+    stub = lonely & (length < _STUB_WIDTHS * width.max(axis=1)) & ~at_border.any(axis=1)
+    # A wide line that ends at another, or at the picture's border, ends at something white, too.
+    blocked &= ~at_border & ~_near_others(ends, width, good, circle)
     limb = stub | (length < _LIMB_WIDTHS * width.mean(axis=1)) & blocked.any(axis=1)
     return tuple(line for line, keep in zip(lines, good & ~mark & ~limb, strict=True) if keep)
 
@@ -80,9 +84,9 @@ def _covered(ends: FloatArray, width: FloatArray) -> Mask:
 
 
 def _at_border(ends: FloatArray, width: FloatArray, grey: UInt8Array) -> Mask:
-    """(n,) which have an end at the picture's border."""
+    """(n, 2) which ends are at the picture's border."""
     reach = (width + 4.0)[..., None]
-    return np.asarray(((ends < reach) | (ends > np.array(grey.shape[1::-1]) - 1.0 - reach)).any(axis=(1, 2)))
+    return np.asarray(((ends < reach) | (ends > np.array(grey.shape[1::-1]) - 1.0 - reach)).any(axis=2))
 
 
 def _tapers_as_turf(ends: FloatArray, width: FloatArray, sigma: FloatArray, turf: Turf, height: int) -> Mask:
@@ -128,15 +132,18 @@ def _beyond(ends: FloatArray, width: FloatArray, grey: UInt8Array, turf: Turf) -
 
 
 def _near_others(ends: FloatArray, width: FloatArray, others: Mask, circle: SeenCircle | None) -> Mask:
-    """(n,) which have an end at a line or at the circle."""
-    reach = 1.5 * width.max(axis=1) + 6.0
-    near = np.zeros(len(ends), dtype=np.bool_)
+    """(n, 2) which ends are at a line that goes another way, or at the circle."""
+    reach = 1.5 * width.max(axis=1, keepdims=True) + 6.0
+    near = np.zeros(width.shape, dtype=np.bool_)
+    along = ends[:, 1] - ends[:, 0]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
     for row in np.flatnonzero(others):
-        along = ends[row, 1] - ends[row, 0]
-        share = np.clip((ends - ends[row, 0]) @ along / (along @ along), 0.0, 1.0)
-        distance = np.linalg.norm(ends[row, 0] + share[..., None] * along - ends, axis=-1).min(axis=1)
-        near |= (distance < reach) & (np.arange(len(ends)) != row)
+        step = ends[row, 1] - ends[row, 0]
+        share = np.clip((ends - ends[row, 0]) @ step / (step @ step), 0.0, 1.0)
+        distance = np.linalg.norm(ends[row, 0] + share[..., None] * step - ends, axis=-1)
+        turned = np.abs(along[:, 0] * along[row, 1] - along[:, 1] * along[row, 0]) > _TURNED
+        near |= (distance < reach) & turned[:, None]
     if circle is not None:
-        away = np.linalg.norm(ends[:, :, None] - circle.points_px, axis=-1).min(axis=(1, 2))
+        away = np.linalg.norm(ends[:, :, None] - circle.points_px, axis=-1).min(axis=2)
         near |= away < reach
     return near
