@@ -11,6 +11,7 @@ from fieldloc.vision.white import SCAN_STEP_PX, Runs
 
 _STEEPEST = 1.3  # along the scan line for one across; steeper pieces are found by the other scan lines
 _WIDTHS = 2.5  # ratio of the widths of two runs of one line
+_MOST = 400  # chains
 _SKIPPED = 3  # scan lines that a chain may miss
 
 
@@ -52,7 +53,8 @@ def _roots(before: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def chains_of(runs: Runs, down: bool, fewest: int) -> list[FloatArray]:
-    """Every chain of at least that many runs as (m, 3): u, v of the runs' middles and their width, in scan order."""
+    """Every chain of at least that many runs as (m, 3): u, v of the runs' middles and their width, in scan order; of
+    more than anyone paints the longest."""
     if len(runs.scan) == 0:
         return []
     roots = link(runs)
@@ -62,7 +64,9 @@ def chains_of(runs: Runs, down: bool, fewest: int) -> list[FloatArray]:
     uv = np.stack([at_px, along] if down else [along, at_px], axis=1)
     table = np.column_stack([uv, runs.last_px - runs.first_px])
     table = table[order]
-    return [table[begin:end] for begin, end in pairwise(borders) if end - begin >= fewest]
+    spans = [(begin, end) for begin, end in pairwise(borders) if end - begin >= fewest]
+    spans = sorted(sorted(spans, key=lambda span: span[0] - span[1])[:_MOST])
+    return [table[begin:end] for begin, end in spans]
 
 
 def parts(chains: list[FloatArray], masks: list[Mask], wanted: bool) -> list[FloatArray]:
