@@ -31,7 +31,7 @@ ESTIMATORS = ("ekf", "mixture", "smooth")
 _STEP_NS, _SCAN_STEPS = 100_000_000, 2
 _PLACES = np.array([[3.0, 2.5], [-3.2, 2.0], [0.4, -3.1], [3.6, -1.5], [-2.5, -2.8], [-0.5, 3.4]])
 _VELOCITY = np.diag([0.15, 0.1, 0.15]) ** 2  # of the odometry, m/s and rad/s
-_SEEN = np.diag([0.1, 0.03]) ** 2  # of range and bearing
+SEEN = np.diag([0.1, 0.03]) ** 2  # of range and bearing
 _SURELY = 1e-9
 
 KNOWN = Config(
@@ -129,10 +129,10 @@ def walk(seed: int, duration_s: float) -> Walk:
         said = velocity + np.linalg.cholesky(_VELOCITY) @ random.standard_normal(3)
         measurements.append(Odometry(stamp_ns, said, _VELOCITY))
         if k % _SCAN_STEPS == 0:
-            true = _range_bearing(poses[-1])
-            seen = true + random.standard_normal(true.shape) @ np.linalg.cholesky(_SEEN).T
+            true = range_bearing(poses[-1])
+            seen = true + random.standard_normal(true.shape) @ np.linalg.cholesky(SEEN).T
             seen[:, 1] = se2.wrap(seen[:, 1])
-            stated = np.broadcast_to(_SEEN, (len(seen), 2, 2)).copy()
+            stated = np.broadcast_to(SEEN, (len(seen), 2, 2)).copy()
             measurements.append(LandmarkScan(stamp_ns, field.labels, seen, stated))
         if k < count:
             poses.append(se2.retract(poses[-1], velocity * _STEP_NS * 1e-9))
@@ -147,7 +147,7 @@ def bounds(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
     whole = np.zeros((count, 3, count, 3))
     known, online = np.zeros((3, 3)), []
     for k, (pose, motion) in enumerate(zip(poses, [*_motions(poses), None], strict=True)):
-        seen = _information(pose) if k % _SCAN_STEPS == 0 else np.zeros((3, 3))
+        seen = information(pose) if k % _SCAN_STEPS == 0 else np.zeros((3, 3))
         known = known + seen
         online.append(np.linalg.inv(known))
         whole[k, :, k] += seen
@@ -173,14 +173,14 @@ def _motions(poses: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         yield np.linalg.inv(spread @ _VELOCITY @ spread.T), se2.adjoint(se2.inverse(step))
 
 
-def _range_bearing(pose: FloatArray) -> FloatArray:
+def range_bearing(pose: FloatArray) -> FloatArray:
     away = se2.apply(se2.inverse(pose), _PLACES)
     return np.column_stack([np.hypot(away[:, 0], away[:, 1]), np.arctan2(away[:, 1], away[:, 0])])
 
 
-def _information(pose: FloatArray) -> FloatArray:
+def information(pose: FloatArray) -> FloatArray:
     """(3, 3) of a scan about the robot-frame tangent of the pose."""
-    r, bearing = _range_bearing(pose).T
+    r, bearing = range_bearing(pose).T
     c, s, zero = np.cos(bearing), np.sin(bearing), np.zeros_like(r)
     jacobian = np.stack([np.stack([-c, -s, zero], axis=-1), np.stack([s / r, -c / r, zero - 1.0], axis=-1)], axis=1)
-    return np.asarray(np.einsum("nia,ij,njb->ab", jacobian, np.linalg.inv(_SEEN), jacobian))
+    return np.asarray(np.einsum("nia,ij,njb->ab", jacobian, np.linalg.inv(SEEN), jacobian))
