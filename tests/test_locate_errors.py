@@ -9,7 +9,15 @@ from fieldloc.field import load_field
 from fieldloc.ground import robot_from_camera
 from fieldloc.locate import CameraPrior, LocateSettings
 from fieldloc.locate.attitude import attitudes
-from fieldloc.locate.errors import Cameras, circle_errors, circle_jacobians, line_errors, post_errors, post_jacobians
+from fieldloc.locate.errors import (
+    Cameras,
+    circle_errors,
+    circle_jacobians,
+    line_errors,
+    post_errors,
+    post_jacobians,
+    width_errors,
+)
 from fieldloc.locate.matching import Noise, match
 from fieldloc.locate.shape import shape_of
 from fieldloc.locate.sight import sight_of
@@ -54,6 +62,10 @@ def test_jacobians_are_those_of_the_errors(look: Look) -> None:
 
     exact = line_errors(Cameras.at(state[None]), sight, SHAPE, lines)[1].reshape(-1, 7)[:, :6]
     np.testing.assert_allclose(exact, central_difference(of_lines, state), atol=1e-2)  # of up to a thousand px
+    exact = width_errors(Cameras.at(state[None]), sight, SHAPE, lines)[1].reshape(-1, 7)[:, :6]
+    numeric = central_difference(lambda s: width_errors(Cameras.at(s[None]), sight, SHAPE, lines)[0].ravel(), state)
+    known = np.isfinite(sight.widths).ravel()
+    np.testing.assert_allclose(exact[known], numeric[known], atol=1e-2)
     if len(sight.post_rays):
         posts = np.maximum(matches.posts, 0)[..., None]
         numeric = central_difference(lambda s: post_errors(Cameras.at(s[None]), sight, SHAPE, posts)[0].ravel(), state)

@@ -99,6 +99,23 @@ def line_errors(
     return np.clip(error, -_FAR_PX, _FAR_PX), jacobian, np.abs(rays[..., 2] / slope)
 
 
+def width_errors(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Of the widths at both ends of each seen line to those of its match (k, l): logarithm of seen to expected
+    (k, l, 2), NaN where not seen, and its Jacobian (k, l, 2, 7)."""
+    rays, across = cameras.turned(sight.line_rays), cameras.turned(sight.line_across)
+    normals = line_normals(cameras, shape)[np.arange(len(match))[:, None], match][:, :, None, :]
+    slope = np.sum(across * normals, axis=-1)
+    slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
+    down = np.minimum(rays[..., 2], -1e-3)
+    expected = np.maximum(np.abs(down / slope) * shape.line_width_m, _TINY)
+    direction = np.zeros((*match.shape, 1, 3))
+    direction[..., 0, :2] = shape.directions[match]
+    level = np.stack([rays[..., 1], -rays[..., 0], np.zeros(down.shape)], axis=-1)  # rays x up
+    by_centre = -cross(direction, across) / slope[..., None]
+    by_turn = cross(across, normals) / slope[..., None] - level / down[..., None]
+    return np.log(sight.widths / expected), cameras.columns(by_centre, by_turn, -np.ones(down.shape))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Posts:
     """Seen posts against landmarks (k, p, q): how far and in which direction (k, p, q, 2) those are, radii, sines and
