@@ -16,24 +16,25 @@ from fieldloc.scan_noise import NoisePrior
 class MotionNoise:
     """How far motion can be from what the odometry says, where its driver does not say so itself.
 
-    Each is the standard deviation after one unit of motion and grows with the square root of it: 0.05 m after 1 m
-    forward. A walking or wheeled robot on carpet; a robot whose odometry states its covariance does not need them.
+    Each is the standard deviation after one unit of motion and grows with the square root of it: 0.08 m after 1 m
+    forward. Wheels on a hard floor that are told what to do; a robot whose odometry states its covariance does not need
+    them.
 
     They are a first guess: the online estimators learn by what factor the variances along the way and of the turns are
     larger or smaller. log_scale_sigma: standard deviation of its logarithm before a log; 0 takes them as known.
     """
 
-    forward_m_per_sqrt_m: float = 0.05
-    sideways_m_per_sqrt_m: float = 0.03
-    turn_rad_per_sqrt_rad: float = 0.05
-    turn_rad_per_sqrt_m: float = 0.05
+    forward_m_per_sqrt_m: float = 0.08
+    sideways_m_per_sqrt_m: float = 0.05
+    turn_rad_per_sqrt_rad: float = 0.08
+    turn_rad_per_sqrt_m: float = 0.08
     idle_m_per_sqrt_s: float = 0.001
     idle_rad_per_sqrt_s: float = 0.001
     max_hold_s: float = 2.0
     """A velocity is believed this long; after it the robot may do anything that the two below allow."""
     silent_m_per_sqrt_s: float = 0.3
     silent_rad_per_sqrt_s: float = 0.5
-    log_scale_sigma: float = 1.0
+    log_scale_sigma: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
