@@ -19,10 +19,11 @@ from fieldloc.locate.states import cross, rotations, turn_axes
 from fieldloc.pose import FloatArray
 
 _HEADINGS = np.radians(np.arange(-45.0, 45.0, 10.0))
+_OFF = np.array([[0.0, 0.0], [-1.2, 0.0], [1.2, 0.0], [0.0, -1.2], [0.0, 1.2]])  # in standard deviations
 _WIDE_PITCHES = np.radians([-15.0, 0.0, 15.0, 30.0, 45.0, 60.0])
 _ANNEALED_PX = (25.0, 12.0, 6.0)  # noise that is allowed for, from iteration to iteration, of all starts
 _FINE_PX = (3.0, 1.0, 0.3, 0.3)  # and then of the best of them
-_MOST = 12
+_MOST = 60
 _LOOSEST = 4.0  # times
 _MARGIN = 12.0  # so much worse than the best is none: about one line that has to be left out
 _CIRCLE_RAD = np.radians(2.0)  # how well an ellipse shows how the camera is turned
@@ -105,10 +106,9 @@ def _starts(sight: Sight, prior: CameraPrior) -> tuple[FloatArray, FloatArray]:
     """Pitches and rolls (s, 2) to start from, with the standard deviations (s, 2) of what holds them there."""
     mean, sigma = prior.mean[1:], prior.sigmas[1:]
     if sigma[0] < np.radians(8.0):
-        pitches = mean[0] + sigma[0] * np.array([-1.2, 0.0, 1.2])
+        means = [mean + sigma * off for off in _OFF]
     else:
-        pitches = _WIDE_PITCHES
-    means = [np.array([pitch, mean[1]]) for pitch in pitches]
+        means = [np.array([pitch, mean[1]]) for pitch in _WIDE_PITCHES]
     sigmas = [sigma] * len(means)
     for tilt in _of_circle(sight):
         off = (tilt - mean) / np.hypot(sigma, _CIRCLE_RAD)
