@@ -20,11 +20,11 @@ from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import Detections
 
 _ROUGH_PX = 12.0  # by how much candidates are off
-_ANNEALED_PX = (10.0, 4.0, 1.0)  # by how much they may be off, step by step
+_ANNEALED_PX = (10.0, 10.0, 5.0, 2.0)  # by how much they may be off, step by step
 _SHARPER = 0.25
 _LAST_STEPS = 2
 _MARGIN = 35.0  # so much worse than the best is hopeless among candidates
-_MARGINS = (60.0, 40.0, 25.0)  # and among refined states, whose right one stands out the more the sharper one looks
+_MARGINS = (60.0, 60.0, 40.0, 30.0)  # and among refined states, whose right one stands out the more the sharper they are
 _NEGLIGIBLE = 1e-4
 
 
