@@ -24,7 +24,7 @@ _ANNEALED_PX = (10.0, 10.0, 5.0, 2.0)  # by how much they may be off, step by st
 _SHARPER = 0.25
 _LAST_STEPS = 2
 _MARGIN = 35.0  # so much worse than the best is hopeless among candidates
-_MARGINS = (60.0, 60.0, 40.0, 30.0)  # and among refined states, whose right one stands out the more the sharper they are
+_MARGINS = (60.0, 60.0, 40.0, 30.0)  # and among refined states: the right one stands out the more the sharper one looks
 _NEGLIGIBLE = 1e-4
 
 
