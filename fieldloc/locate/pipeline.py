@@ -1,5 +1,7 @@
 """From one picture's detections to every pose of the camera that explains them, with probabilities."""
 
+import math
+
 import numpy as np
 
 from fieldloc import pose as se2
@@ -69,10 +71,21 @@ def _refined(task: Task, states: FloatArray) -> FloatArray:
     return states
 
 
+def _log_false(task: Task) -> float:
+    """Log probability that all that was detected is none of the map's though the picture is of it: gains are beside
+    that, while in a picture of something else all of it is false anyway."""
+    sight, settings = task.sight, task.settings
+    return (
+        len(sight.line_rows) * math.log(settings.false_line)
+        + len(sight.post_rows) * math.log(settings.false_post)
+        + (math.log(settings.false_circle) if len(sight.circle_rays) else 0.0)
+    )
+
+
 def _answer(task: Task, settled: Settled, kept: np.ndarray[tuple[int], np.dtype[np.intp]], seen: Detections) -> Located:
     settings = task.settings
     twins = np.concatenate([np.zeros((1, 3)), task.shape.symmetries])
-    log_right = settings.trust * settled.log_evidence[kept] + np.log1p(-settings.none_right)
+    log_right = settings.trust * (settled.log_evidence[kept] + _log_false(task)) + np.log1p(-settings.none_right)
     logs = np.append(log_right, np.log(settings.none_right))
     shares = np.exp(logs - np.logaddexp.reduce(logs))
     found = []
