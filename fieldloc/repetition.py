@@ -24,7 +24,7 @@ class ErrorCorrelation:
     weigh as two readings, of which the right ones of the next half minute can still make good.
     """
 
-    range_s: float = 4.0
+    range_s: float = 3.0
     bearing_s: float = 0.5
     image_s: float = 1.0
     compass_s: float = 5.0
