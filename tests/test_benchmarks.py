@@ -23,6 +23,7 @@ from logs.trajectory import Trajectory
     [
         ("reading", ["--duration", "3", "--repeats", "1"], ["/odometry", "/image_features", "/truth", "mcap us"]),
         ("writing", ["--messages", "50", "--repeats", "1"], ["LogWriter.write_raw", "mcap.writer.Writer"]),
+        ("vision", ["--what", "views", "--count", "2", "--fields", "spl"], ["telling", "ANEES", "posts recall"]),
     ],
 )
 def test_a_benchmark_prints_its_table(capsys, name, options, said):

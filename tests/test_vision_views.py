@@ -31,7 +31,7 @@ def test_most_rendered_views_are_located_to_centimetres(name: str) -> None:
 def test_of_many_views_nearly_all_are_located_and_hardly_any_is_surely_wrong(name: str) -> None:
     views = telling(name, range(1000, 1000 + MANY))
     right = [one for one in views if one.rank >= 0]
-    assert len(right) >= 0.85 * len(views)  # 88 to 97 % of other views
+    assert len(right) >= 0.8 * len(views)  # 87 to 100 % of 40 other views each
     assert sum(one.rank == 0 for one in right) >= 0.7 * len(views)
     assert sum(one.sure_wrong for one in views) <= 0.03 * len(views)
     assert np.median([one.off_m for one in right]) < 0.01
