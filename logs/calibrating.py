@@ -12,7 +12,6 @@ from estimators.sensor import seen_from
 from estimators.smoother import Smoother
 from estimators.solution import Solution
 from fieldloc import pose as se2
-from fieldloc.camera import Camera
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
 from fieldloc.measurements import ImageFeatures
@@ -49,8 +48,7 @@ class CalibratedRobot:
         known = self.robot.settings(config)
         if not self.mount:
             return known
-        left = [float(np.hypot(one.sigma, wobble)) for one, wobble in zip(self.mount, self.wobble, strict=True)]
-        return replace(known, mount=MountCorrection(*(one.value for one in self.mount), *left))
+        return replace(known, mount=_mount(self.mount, self.wobble))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +58,13 @@ class _Views:
     images: tuple[ImageFeatures, ...]
     poses: FloatArray
     covariances: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    solution: Solution
+    views: _Views
+    warnings: tuple[str, ...]
 
 
 def calibrate(
@@ -80,28 +85,31 @@ def calibrate_recordings(
     progress: Progress = unwatched,
 ) -> CalibratedRobot:
     """As `calibrate`; ValueError for none."""
-    solutions, names, warnings, views = [], [], [], []
-    camera, on_map = None, None
-    for recording in recordings:
-        smoother = Smoother(config)
-        done = replay(recording, smoother, start, config, progress)
-        if smoother.solution is None:
-            raise FieldlocError(f"{recording.name}: it says nothing of the robot: no start was found")
-        solutions.append(smoother.solution)
-        names.append(recording.name)
-        warnings += [*recording.warnings, *done.warnings]
-        camera, on_map = recording.camera or camera, recording.field
-        views.append(_views(recording.measurements, [one.stamp_ns for one in done.estimates], smoother.solution))
-    if not solutions:
+    whole = list(recordings)
+    if not whole:
         raise ValueError("no logs to calibrate from")
-    robot = calibrated(solutions, config)
-    fit = None
-    if camera is not None and on_map is not None:
-        progress(0, 0, "the camera's mount")
-        fit = _fitted(views, camera, on_map, config)
-    mount = () if fit is None else _quantities(fit, config)
+    solved = [_solved(recording, config, start, progress) for recording in whole]
+    fit = _fitted(solved, whole, config, progress)
+    if fit is not None:
+        # found with the camera where it was thought to be, poses lean that way and hide a part of its error
+        mount = _mount(_quantities(fit, config), tuple(fit.wobble.tolist()))
+        solved = [_solved(recording, replace(config, mount=mount), start, progress) for recording in whole]
+        fit = _fitted(solved, whole, config, progress)
+    robot = calibrated([one.solution for one in solved], config)
+    quantities = () if fit is None else _quantities(fit, config)
     wobble = () if fit is None else tuple(fit.wobble.tolist())
-    return CalibratedRobot(tuple(names), robot, mount, wobble, tuple(warnings))
+    warnings = [warning for one in solved for warning in one.warnings]
+    return CalibratedRobot(tuple(one.name for one in whole), robot, quantities, wobble, tuple(warnings))
+
+
+def _solved(recording: Recording, config: Config, start: FloatArray | str | None, progress: Progress) -> _Solved:
+    smoother = Smoother(config)
+    done = replay(recording, smoother, start, config, progress)
+    if smoother.solution is None:
+        raise FieldlocError(f"{recording.name}: it says nothing of the robot: no start was found")
+    stamps_ns = [one.stamp_ns for one in done.estimates]
+    views = _views(recording.measurements, stamps_ns, smoother.solution)
+    return _Solved(smoother.solution, views, (*recording.warnings, *done.warnings))
 
 
 def _views(measurements: Sequence[object], stamps_ns: Sequence[int], solution: Solution) -> _Views:
@@ -119,17 +127,27 @@ def _views(measurements: Sequence[object], stamps_ns: Sequence[int], solution: S
     return _Views(tuple(images), np.array(seen).reshape(-1, 3), solution.covariances[rows].reshape(-1, 3, 3))
 
 
-def _fitted(views: Sequence[_Views], camera: Camera, field: FieldMap, config: Config) -> MountFit | None:
-    """The fit is to the mount as it was taken to be. None without images."""
-    images = [replace(one, mount=config.mount.applied(one.mount)) for view in views for one in view.images]
-    if not images:
+def _fitted(
+    solved: Sequence[_Solved], recordings: Sequence[Recording], config: Config, progress: Progress
+) -> MountFit | None:
+    """The fit is to the mount as the settings have it. None without images."""
+    cameras = [recording.camera for recording in recordings if recording.camera is not None]
+    images = [replace(one, mount=config.mount.applied(one.mount)) for each in solved for one in each.views.images]
+    if not images or not cameras:
         return None
-    poses = np.concatenate([view.poses for view in views])
-    covariances = np.concatenate([view.covariances for view in views])
+    progress(0, 0, "the camera's mount")
+    poses = np.concatenate([each.views.poses for each in solved])
+    covariances = np.concatenate([each.views.covariances for each in solved])
     kept = np.unique(np.linspace(0, len(images) - 1, min(len(images), _MOST_IMAGES)).astype(np.intp))
     claimed = np.sqrt(np.diagonal(images[0].mount.covariance))[[0, 2, 3]]
     return fit_mount(
-        [images[k] for k in kept], poses[kept], covariances[kept], camera, field, claimed, config.correlation.image_s
+        [images[k] for k in kept],
+        poses[kept],
+        covariances[kept],
+        cameras[-1],
+        recordings[-1].field,
+        claimed,
+        config.correlation.image_s,
     )
 
 
@@ -142,6 +160,12 @@ def _quantities(fit: MountFit, config: Config) -> tuple[Quantity, ...]:
         gain = 0.5 * error**2 * (1.0 / sigma**2 + 1.0 / prior**2)
         out.append(Quantity("mount", name, before[k] + error * told, sigma if told else prior, prior, gain, told))
     return tuple(out)
+
+
+def _mount(quantities: Sequence[Quantity], wobble: Sequence[float]) -> MountCorrection:
+    """With what is left from image to image."""
+    left = [float(np.hypot(one.sigma, own)) for one, own in zip(quantities, wobble, strict=True)]
+    return MountCorrection(*(one.value for one in quantities), *left)
 
 
 def calibration_table(done: CalibratedRobot) -> str:
