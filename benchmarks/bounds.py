@@ -1,10 +1,10 @@
 """Errors beside the least that any unbiased estimator can have, on a model that is known exactly.
 
-A robot sees landmarks all around it, with noise as stated, new each time; an odometry measures its velocity, with noise
-as stated. Online: the posterior Cramer-Rao bound, recursively (Tichavsky, Muravchik & Nehorai 1998); batch: the inverse
-of the information about all poses together. Both at the true poses. Each number is the root mean square error over the
-root of the mean bound, 1 at best. "as known": settings that say what is known; below it one of the shipped ones at a
-time, which reckon with errors that are not there; last, all as shipped.
+A robot sees landmarks all around it, with noise as stated, new each time; its velocity is what its odometry says, up to
+noise as stated. Online: the posterior Cramer-Rao bound, recursively (Tichavsky, Muravchik & Nehorai 1998); batch: the
+inverse of the information about all poses together. Both at the true poses. Each number is the root mean square error
+over the root of the mean bound, 1 at best. "as known": settings that say what is known; below it one of the shipped
+ones at a time, which reckon with errors that are not there; last, all as shipped.
 """
 
 import argparse
@@ -126,8 +126,7 @@ def walk(seed: int, duration_s: float) -> Walk:
             goal = random.uniform(-1.5, 1.5, 2)
         ahead, aside = se2.apply(se2.inverse(poses[-1]), goal)
         velocity = 0.8 * velocity + 0.2 * np.array([0.4, 0.0, np.clip(np.arctan2(aside, ahead), -0.7, 0.7)])
-        said = velocity + np.linalg.cholesky(_VELOCITY) @ random.standard_normal(3)
-        measurements.append(Odometry(stamp_ns, said, _VELOCITY))
+        measurements.append(Odometry(stamp_ns, velocity, _VELOCITY))
         if k % _SCAN_STEPS == 0:
             true = range_bearing(poses[-1])
             seen = true + random.standard_normal(true.shape) @ np.linalg.cholesky(SEEN).T
@@ -135,7 +134,8 @@ def walk(seed: int, duration_s: float) -> Walk:
             stated = np.broadcast_to(SEEN, (len(seen), 2, 2)).copy()
             measurements.append(LandmarkScan(stamp_ns, field.labels, seen, stated))
         if k < count:
-            poses.append(se2.retract(poses[-1], velocity * _STEP_NS * 1e-9))
+            true_velocity = velocity + np.linalg.cholesky(_VELOCITY) @ random.standard_normal(3)
+            poses.append(se2.retract(poses[-1], true_velocity * _STEP_NS * 1e-9))
     truth = np.array(poses)
     online, batch = bounds(truth)
     return Walk(Recording(f"walk {seed}", field, None, tuple(measurements)), stamps_ns, truth, online, batch)
