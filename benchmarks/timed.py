@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import process_time
 
-from estimators.base import Estimate, Innovation, MixtureEstimator
+from estimators.base import Estimate, Guessing, Innovation, MixtureEstimator
 from fieldloc.factors import Factor
 from fieldloc.measurements import Odometry
 from fieldloc.mixture import MixtureFactor
@@ -45,6 +45,11 @@ class Timed:
     def estimate(self) -> Estimate | None:
         with self._timed():
             return self._estimator.estimate()
+
+    def likeliest(self) -> Estimate | None:
+        with self._timed():
+            asked = self._estimator
+            return asked.likeliest() if isinstance(asked, Guessing) else asked.estimate()
 
     @contextmanager
     def _timed(self) -> Iterator[None]:

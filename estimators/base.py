@@ -127,6 +127,14 @@ class Seeing(Protocol):
 
 
 @runtime_checkable
+class Guessing(Protocol):
+    """An estimator that has an idea of the pose before it would call it an estimate."""
+
+    def likeliest(self) -> Estimate | None:
+        """The likeliest pose, however unlikely; None while nothing is known."""
+
+
+@runtime_checkable
 class Ambiguous(Protocol):
     """An estimator that says how sure it is of what it cannot tell apart."""
 

@@ -85,7 +85,8 @@ class Smoother:
         self._recorder.observe(mixture, self._record(mixture.stamp_ns))
 
     def estimate(self) -> Estimate | None:
-        return self._filter.estimate()
+        """The likeliest so far, however unlikely: what it is in the end `trajectory` tells."""
+        return self._ahead.estimate() if self._bank is None else self._bank.likeliest()
 
     def ambiguity(self) -> Ambiguity | None:
         """That of the whole past once `trajectory` has looked at it, until something new comes."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.base import Ambiguity, Ambiguous, Estimate, Estimator, Event, MixtureEstimator, Seeing
+from estimators.base import Ambiguity, Ambiguous, Estimate, Estimator, Event, Guessing, MixtureEstimator, Seeing
 from estimators.config import Config
 from estimators.smoother import Smoother
 from fieldloc.camera import Camera
@@ -203,6 +203,8 @@ class Run:
         """What the estimator thinks of the pose that the mixture is about."""
         if mixture.by_sight and isinstance(self.estimator, Seeing):
             return self.estimator.seen_from()
+        if isinstance(self.estimator, Guessing):
+            return self.estimator.likeliest()
         return self.estimator.estimate()
 
     def trajectory(self) -> tuple[Estimate, ...] | None:
@@ -274,7 +276,7 @@ def replay(
             for now in past:
                 kept.take(now)
     if not estimates:
-        raise FieldlocError(f"{recording.name}: {_never_started(recording)}")
+        raise FieldlocError(f"{recording.name}: {_never_started(recording, unsure=bool(kept.all()))}")
     events = () if ambiguous is None else tuple(sorted(ambiguous.events, key=lambda event: event.stamp_ns))
     total_s = time.perf_counter() - began
     return Replay(tuple(estimates), np.array(update_s), total_s, run.warnings, kept.all(), events)
@@ -299,8 +301,10 @@ def _check(estimate: Estimate) -> None:
         raise ValueError("its pose is not finite")
 
 
-def _never_started(recording: Recording) -> str:
+def _never_started(recording: Recording, unsure: bool) -> str:
     told = "give it with --start X,Y,HEADING_DEG"
+    if unsure:
+        return f"of all places that the start may be, none has become likely enough to be called an estimate; {told}"
     if len(recording.field.symmetries):
         return f"the field looks the same from several poses, so nothing seen tells the start; {told}"
     return f"nothing seen determines a whole pose, so there is no start; {told}"

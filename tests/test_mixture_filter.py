@@ -35,6 +35,7 @@ from fieldloc.factors import HeadingFactor, LandmarkFactor, PoseFactor
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan, Odometry
 from fieldloc.pose import FloatArray
+from fieldloc.regions import Region
 from fieldloc.scan_mixture import scan_mixture
 
 EXACT = Mixture(max_hypotheses=5000, prune_below=1e-15, evidence_share=1.0, kidnaps_per_min=0.0)
@@ -289,3 +290,55 @@ def test_one_labelled_sight_tells_the_side(where: FloatArray) -> None:
     assert now(estimator).mirrored < 0.01
     np.testing.assert_allclose(now(estimator).hypotheses[0].pose, where, atol=0.01)
     assert estimator.events[-1].kind == "decision"
+
+
+# -- when there is an estimate -----------------------------------------------------------------------------------------
+
+
+def test_a_coins_toss_is_no_estimate_and_what_was_one_stays_one() -> None:
+    estimator = MixtureFilter(LITERAL)
+    estimator.start_in(LOPSIDED, 0)
+    poses = se2.retract(START, np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.3]]))
+    estimator.observe(of_poses(0, poses, np.log([0.6, 0.4]), -40.0))
+    assert estimator.estimate() is None
+    likeliest = estimator.likeliest()
+    assert likeliest is not None
+    np.testing.assert_array_equal(likeliest.pose, now(estimator).hypotheses[0].pose)
+    estimator.observe(of_poses(0, poses, np.log([1e-3, 1.0]), -40.0))
+    estimate = estimator.estimate()
+    assert estimate is not None
+    np.testing.assert_allclose(estimate.pose, poses[1], atol=1e-6)
+    # doubt that comes later leaves it, and says itself
+    estimator.observe(of_poses(0, poses, np.log([0.9, 0.01]), -40.0))
+    assert now(estimator).hypotheses[0].weight < 0.99
+    assert estimator.estimate() is not None
+    estimator.start_in(LOPSIDED, 1)
+    assert estimator.estimate() is None
+
+
+def test_the_side_need_not_be_known_for_an_estimate() -> None:
+    estimator = MixtureFilter(LITERAL, HALF_TURN)
+    estimator.start_in(replace(OWN_HALF, symmetries=HALF_TURN), 0)
+    both = np.stack([START, se2.compose(HALF_TURN[0], START)])
+    estimator.observe(of_poses(0, both, np.log([0.5, 0.5]), -40.0))
+    estimator.observe(of_poses(0, both, np.log([0.5, 0.5]), -40.0))
+    assert estimator.estimate() is not None
+
+
+def test_a_scan_that_shows_the_same_again_tells_little_of_being_lost() -> None:
+    places = np.array([[2.0, 0.0], [2.0, 1.5], [-1.0, 2.0], [-2.0, -1.0]])
+    landmarks = tuple(Landmark(str(i), place, 0.1, np.zeros((2, 2))) for i, place in enumerate(places))
+    field = FieldMap("field", np.zeros((0, 2, 2)), np.zeros((0, 3)), landmarks)
+    beside = LandmarkScan(0, (None,), np.array([[1.0, 1.2]]), np.diag([0.05, 0.02])[None] ** 2)
+    lost = []
+    for share in (1.0, 0.3):
+        estimator = MixtureFilter(replace(PLAIN, mixture=Mixture(evidence_share=share)))
+        estimator.start_in(Region("field", np.array([[-3.0, -3.0, 3.0, 3.0]]), np.array([[0.0, np.pi]])), 0)
+        estimator.start(Estimate(0, np.zeros(3), np.diag([0.05, 0.05, 0.03]) ** 2))
+        for stamp_ns in range(0, 800_000_000, 100_000_000):
+            seen = scan_mixture(replace(beside, stamp_ns=stamp_ns), field, Detection(), np.ones((4, 2)))
+            assert seen is not None
+            estimator.observe(seen)
+        lost.append(now(estimator).lost)
+    assert lost[0] > 0.99
+    assert lost[1] < 0.5  # eight sights count as three

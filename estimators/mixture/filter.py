@@ -40,6 +40,7 @@ _DOUBT = np.log(0.1)  # of all being wrong: an observation is asked for its own 
 _LOST = np.log(0.01)
 _ASK_EVERY_NS = 1_000_000_000
 _SAID_S = 2.0  # what is seen again after this has partly become news
+_ONE_PLACE = 0.99  # as `Watch` calls it a decision
 _CROWD = 4  # times as many as may stay are compared for being alike
 
 
@@ -64,6 +65,7 @@ class MixtureFilter:
         self._lost = Lost.within(UNKNOWN, 0.0)
         self._lineage = Lineage.none(len(self._sides), remember)
         self._extra, self._known = prior(config)  # of the best
+        self._decided = False  # whether there was one place once
         self._first = (0, 0)  # row and copy of the best
         self._last: FloatArray | None = None  # its pose
         self._pending, self._pending_s = STANDSTILL, 0.0
@@ -84,6 +86,7 @@ class MixtureFilter:
         self._lineage.begin(self._bank)
         self._restart.forget()
         self._watch.forget(decided=False)
+        self._decided = False
         self._last = self._asked_ns = None
 
     def predict(self, odometry: Odometry) -> None:
@@ -136,13 +139,27 @@ class MixtureFilter:
             self._heard = Heard(mixture)
         view = self._views.about(mixture.by_sight, mixture.by_compass, self._extra, self._known)
         children = Children.of(self._bank, self._sides, mixture, view)
-        children = children.tempered(self._news(mixture))
+        news = self._news(mixture)
+        children = children.tempered(news)
         solutions = mixture.solutions() if self._asks(children, mixture) else None
         missed = self._lost.missed(mixture, solutions)
         births = self._born(solutions or PoseSolutions.none(), mixture.symmetric, view)
+        if news < 1.0 and len(self._bank):
+            # a robot that is lost has seen much the same a moment ago, too
+            whole = np.logaddexp(total(births.log_weights), total(missed)) - self._lost.total
+            if np.isfinite(whole):
+                back = (news - 1.0) * (whole - children.of_likeliest)
+                missed, births = missed + back, replace(births, log_weights=births.log_weights + back)
         self._take(children, births, missed, view, choice=True)
+        self._decided = self._decided or self._decides(mixture)
 
     def estimate(self) -> Estimate | None:
+        """`likeliest`, from when it was told or one place held 99 % of all that may be, its copies under the map's
+        symmetries together."""
+        return self.likeliest() if self._decided else None
+
+    def likeliest(self) -> Estimate | None:
+        """Where the robot is sooner than anywhere else, however unlikely that is."""
         return self._seen(self._views.now(self._extra)) if len(self._bank) else None
 
     def seen_from(self) -> Estimate | None:
@@ -201,6 +218,7 @@ class MixtureFilter:
         self._lineage.begin(self._bank)
         self._restart.forget()
         self._watch.forget(decided=True)
+        self._decided = True
 
     def _settle(self) -> None:
         """Do what the time that passed has left to be done."""
@@ -214,6 +232,14 @@ class MixtureFilter:
             self._bank = replace(self._bank, log_weights=self._bank.log_weights + math.log1p(-self._carried))
         self._heard = self._heard.turned(float(self._pending.before_from_after[2]))
         self._pending, self._pending_s = STANDSTILL, 0.0
+
+    def _decides(self, mixture: MixtureFactor) -> bool:
+        """Whether there is an estimate from now on: one place is likely, or the robot was told a pose."""
+        if not len(self._bank):
+            return False
+        if not (mixture.by_sight or mixture.by_compass) and len(mixture.solutions().ids) == 1:
+            return True
+        return report.place(self._bank, self._sides, self._first[0]) >= _ONE_PLACE
 
     def _begin_leg(self) -> None:
         row = self._first[0]

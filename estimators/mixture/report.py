@@ -37,6 +37,12 @@ def best(bank: Bank, sides: Sides, last: FloatArray | None) -> tuple[int, int]:
     return int(rows[nearest]), int(copies[nearest])
 
 
+def place(bank: Bank, sides: Sides, row: int) -> float:
+    """Probability of being near one of the hypotheses or near one of its copies."""
+    near = (distance(sides.unfold(bank.poses), bank.poses[row]) < _PLACE_M).any(axis=1)
+    return float(np.exp(bank.totals[near]).sum())
+
+
 def covariance_about(pose: FloatArray, bank: Bank, sides: Sides) -> FloatArray:
     """(3, 3) in field axes of all hypotheses on all copies, about one pose (3,)."""
     weights = np.exp(bank.log_weights - bank.log_weights.max())

@@ -1,5 +1,6 @@
 """An observation splits each hypothesis into one child per solution that it allows, and one that explains nothing."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,15 +75,28 @@ class Children:
         it says of the children of one in full."""
         if share == 1.0 or len(self.before) < 2:
             return self
+        evidence, best = self._evidence
+        back = ((share - 1.0) * (evidence - evidence[best]))[:, None]
+        return replace(
+            self, log_weights=self.log_weights + back[self.seen.parent], blind_weights=self.blind_weights + back
+        )
+
+    @property
+    def of_likeliest(self) -> float:
+        """What the observation says of the hypothesis that is the likeliest with it, all its children together: log
+        evidence; nan without any."""
+        evidence, best = self._evidence
+        return float(evidence[best]) if len(evidence) else math.nan
+
+    @property
+    def _evidence(self) -> tuple[FloatArray, int]:
+        """(v,) of all, 0 where there is none; and which is the likeliest after it."""
         after = np.full(len(self.before), -np.inf)
         np.logaddexp.at(after, self.seen.parent, np.logaddexp.reduce(self.log_weights, axis=1))
         after = np.logaddexp(after, np.logaddexp.reduce(self.blind_weights, axis=1))
         evidence = after - self.before
-        evidence = np.where(np.isfinite(evidence), evidence, 0.0)
-        back = ((share - 1.0) * (evidence - evidence[np.argmax(after)]))[:, None]
-        return replace(
-            self, log_weights=self.log_weights + back[self.seen.parent], blind_weights=self.blind_weights + back
-        )
+        best = int(np.argmax(after)) if len(after) else 0
+        return np.where(np.isfinite(evidence), evidence, 0.0), best
 
     @property
     def total(self) -> float:
