@@ -107,8 +107,8 @@ def test_it_prints_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.slow
 def test_what_is_found_of_robots_is_as_near_as_it_is_said_to_be() -> None:
     driven = [driven_by(120.0, seed) for seed in range(20)]
-    # 38 of 40 are expected, and of one that is right less than 29 happens once in ten thousand
-    assert min(inside(driven, 2.0).values()) >= 0.72
+    # 19 of 20 are expected, batch and online much the same; of one that is right less than 15 happens once in 3,000
+    assert min(inside(driven, 2.0).values()) >= 0.75
 
 
 @pytest.mark.slow
