@@ -46,6 +46,7 @@ COMMANDS = (
     "smooth",
     "locate",
     "calibrate",
+    "camera",
     "compare",
     "evaluate",
     "export",
@@ -170,6 +171,9 @@ def test_the_examples_are_well_typed(call: Call, here: Path) -> None:
             continue
         said = call(*arguments)
         assert said.code == 1
+        if arguments[0] == "camera":  # a picture that is not there is left out
+            assert said.err.startswith("fieldloc: warning: boards/*.jpg: no such picture")
+            continue
         assert re.fullmatch(r"fieldloc: \S+: no such (camera )?file.*\n", said.err), said.err
     assert listing(here) == []
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from walks import PLAIN, ns, velocities, walk
+from walks import GENTLE, PLAIN, ns, velocities, walk
 
 from estimators.chain import Chain
 from estimators.config import Calibration, Config, Graph, MotionNoise
@@ -22,7 +22,7 @@ GAUSSIAN = Graph(cauchy=1e6)  # a kernel so wide that it does nothing
 
 
 def motions_of(commands: FloatArray, noise: MotionNoise | None = None) -> list[Increment]:
-    held = HeldVelocity(MotionNoise() if noise is None else noise)
+    held = HeldVelocity(GENTLE if noise is None else noise)
     out = []
     held.advance(0)
     for k, command in enumerate(commands):
@@ -207,7 +207,7 @@ def simulated(
 def test_the_odometrys_calibration_is_found() -> None:
     real = OdometryCalibration(0.08, -0.1, 0.12, -0.06, 0.02, 0.015)
     commands = velocities(1200)
-    chain, truth = simulated(real, 4, commands, MotionNoise())
+    chain, truth = simulated(real, 4, commands, GENTLE)
     config = replace(Config(graph=GAUSSIAN), calibration=Calibration(0.2, 0.2, 0.2, 0.2, 0.05, 0.05))
     solution = solve(chain, config)
     error = np.subtract(solution.calibration, real)
@@ -236,7 +236,7 @@ def calibration_covariance(chain: Chain, config: Config, poses: FloatArray) -> F
 
 
 def test_the_calibrations_doubt_widens_the_poses_covariances() -> None:
-    chain, _ = simulated(OdometryCalibration(), 1, velocities(60), MotionNoise())
+    chain, _ = simulated(OdometryCalibration(), 1, velocities(60), GENTLE)
     few = replace(chain, factors=chain.factors[:1])  # after the first pose, odometry alone
     plain, calibrating = solve(few, PLAIN), solve(few, Config())
     total = STANDSTILL

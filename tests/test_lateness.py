@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pose_sights import LOPSIDED, of_poses
-from walks import ns, velocities, walk
+from walks import GENTLE, ns, velocities, walk
 
 from estimators.chain import Recorded
-from estimators.config import Calibration, Config, MotionNoise, Sensor
+from estimators.config import Calibration, Config, Sensor
 from estimators.lateness import against_odometry, later, may_be_late, split
 from estimators.motion import HeldVelocity, Increment
 from estimators.smoother import Smoother
@@ -22,7 +22,7 @@ STATED = np.diag([0.02, 0.02, 0.05]) ** 2
 
 def recorded(commands: FloatArray, late_s: float, stated: FloatArray | None = None) -> Recorded:
     """Nodes each 0.07 s, odometry each 0.1 s that is late."""
-    held = HeldVelocity(MotionNoise(), late_s)
+    held = HeldVelocity(GENTLE, late_s)
     stamps_ns = [ns(0.07 * k) for k in range(int(len(commands) / 0.7) - 3)]
     motions: list[Increment] = []
     given = 0

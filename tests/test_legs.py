@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from walks import KNOWN_NOISE, ns
+from walks import GENTLE, KNOWN_NOISE, ns
 
 from estimators.config import Calibration, Config, MotionNoise
 from estimators.legs import Legs
@@ -44,7 +44,7 @@ def walked(legs: Legs, louder: FloatArray, count: int, random: np.random.Generat
 @pytest.mark.parametrize("louder", [(4.0, 1.0), (1.0, 4.0), (0.4, 3.0)])
 def test_the_noise_of_the_way_and_that_of_turns_are_told_apart(louder: tuple[float, float]) -> None:
     logs = [
-        np.log(walked(Legs(MotionNoise()), np.array(louder), 60, np.random.default_rng(seed))) for seed in range(12)
+        np.log(walked(Legs(GENTLE), np.array(louder), 60, np.random.default_rng(seed))) for seed in range(12)
     ]
     # of 60 legs, 2 numbers tell of the way and 1 of turns: sigmas of a logarithm are 0.13 and 0.18, over 12 runs a
     # third of that; the prior pulls by one part in thirty
@@ -52,13 +52,13 @@ def test_the_noise_of_the_way_and_that_of_turns_are_told_apart(louder: tuple[flo
 
 
 def test_a_minute_or_two_tells_that_it_is_louder_than_thought() -> None:
-    few = walked(Legs(MotionNoise()), np.array([5.0, 5.0]), 5, np.random.default_rng(1))
+    few = walked(Legs(GENTLE), np.array([5.0, 5.0]), 5, np.random.default_rng(1))
     assert (few > 2.0).all()
 
 
 def test_no_outlier_has_more_than_a_say() -> None:
-    plain = walked(Legs(MotionNoise()), np.ones(2), 60, np.random.default_rng(2))
-    wild = walked(Legs(MotionNoise()), np.ones(2), 60, np.random.default_rng(2), wild=12)
+    plain = walked(Legs(GENTLE), np.ones(2), 60, np.random.default_rng(2))
+    wild = walked(Legs(GENTLE), np.ones(2), 60, np.random.default_rng(2), wild=12)
     assert (wild < 3.0 * plain).all()
 
 

@@ -28,7 +28,8 @@ FIELD = FieldMap(
 )
 PERFECT = OdometryCalibration()
 TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0)
-KNOWN_NOISE = MotionNoise(log_scale_sigma=0.0)
+GENTLE = MotionNoise(0.05, 0.03, 0.05, 0.05, log_scale_sigma=1.0)
+KNOWN_NOISE = MotionNoise(0.05, 0.03, 0.05, 0.05, log_scale_sigma=0.0)
 PLAIN = Config(motion=KNOWN_NOISE, calibration=TAKEN_AT_ITS_WORD, sensor=Sensor(0.0, 0.0))
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.05, 0.03
 ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0, 0.0)
@@ -121,7 +122,7 @@ def walk(
     substeps: int = 4,
 ) -> FloatArray:
     """Poses (len(commands) + 1, walks, 3) of robots from start (walks, 3): white noise, drawn anew in each substep."""
-    noise = MotionNoise() if noise is None else noise
+    noise = GENTLE if noise is None else noise
     pose, part_s = start, step_s / substeps
     out = [pose]
     for command in commands:
