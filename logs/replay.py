@@ -27,6 +27,7 @@ from logs.pictures import has_pictures, picture_features
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
 from logs.schema import seconds
+from logs.whole_scans import whole_scans
 
 _KINDS: tuple[type[Measurement], ...] = (Odometry, InitialPose, Compass, LandmarkScan, ImageFeatures)
 """What goes first at equal stamps: how the robot moves from there on, what it is told, what it sees."""
@@ -100,6 +101,7 @@ def load_recording(log: LogFile, field: FieldMap | None = None, progress: Progre
         topics = ", ".join(log.roles[role] for role in ("landmarks", "image_features", "compass", "initial_pose"))
         raise FieldlocError(f"{log.path}: nothing to localize with: no usable message on {topics}")
     measurements.sort(key=lambda measurement: (measurement.stamp_ns, _KINDS.index(type(measurement))))
+    measurements = whole_scans(measurements)
     cameras = list(log.records(Camera))
     warnings = []
     if not any(isinstance(measurement, Odometry) for measurement in measurements):
