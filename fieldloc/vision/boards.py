@@ -46,7 +46,7 @@ class Board:
     def corners_m(self) -> FloatArray:
         """(columns rows, 3) of the inner corners on the board, row by row."""
         x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square_m
+        return np.asarray(np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square_m, dtype=np.float64)
 
     def charuco(self) -> cv2.aruco.CharucoBoard:
         return cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.square_m, self.marker_m, self._markers())
@@ -93,10 +93,11 @@ def _refined(grey: UInt8Array, pixels: FloatArray) -> FloatArray:
 
 
 def _charuco(grey: UInt8Array, board: Board) -> BoardView | None:
-    corners, numbers, _, _ = cv2.aruco.CharucoDetector(board.charuco()).detectBoard(grey)
-    if corners is None or numbers is None or len(np.ravel(numbers)) < _FEWEST_CORNERS:
+    found: tuple[object, ...] = cv2.aruco.CharucoDetector(board.charuco()).detectBoard(grey)
+    corners, numbers = found[:2]  # None where there are none, whatever the stubs say
+    if corners is None or numbers is None or len(np.ravel(np.asarray(numbers))) < _FEWEST_CORNERS:
         return None
     pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-    points = board.corners_m()[np.ravel(numbers).astype(np.intp)]
+    points = board.corners_m()[np.ravel(np.asarray(numbers)).astype(np.intp)]
     flat = np.linalg.matrix_rank(points[:, :2] - points[0, :2], tol=1e-9) < 2
     return None if flat else BoardView(points, pixels)

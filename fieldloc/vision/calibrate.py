@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -94,7 +95,10 @@ def _solve(views: list[BoardView], size_px: tuple[int, int], model: Model) -> Ca
 def _camera(model: Model, size_px: tuple[int, int], matrix: FloatArray, distortion: FloatArray) -> Camera:
     count = len(_DISTORTION[model])
     numbers = [float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])]
-    return Camera(model, *size_px, *numbers, tuple(float(part) for part in distortion[:count]))
+    width_px, height_px = size_px
+    fx_px, fy_px, cx_px, cy_px = numbers
+    lens = tuple(float(part) for part in distortion[:count])
+    return Camera(model, width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens)
 
 
 def _with_errors(camera: Camera, poses: FloatArray, views: list[BoardView]) -> Calibration:
@@ -105,8 +109,8 @@ def _with_errors(camera: Camera, poses: FloatArray, views: list[BoardView]) -> C
     squares, count, rms_px = 0.0, 0, []
     for pose, view in zip(poses, views, strict=True):
         residual = (_seen(camera, numbers, pose, view) - view.pixels).ravel()
-        inner = _slopes(lambda x, pose=pose, view=view: _seen(camera, x, pose, view), numbers, scale)
-        outer = _slopes(lambda x, view=view: _seen(camera, numbers, x, view), pose, np.full(6, 1e-6))
+        inner = _slopes(partial(_seen_by, camera, pose, view), numbers, scale)
+        outer = _slopes(partial(_seen_from, camera, numbers, view), pose, np.full(6, 1e-6))
         if not (np.isfinite(outer).all() and np.isfinite(inner).all()):
             information[:] = np.nan
             break
@@ -123,10 +127,18 @@ def _with_errors(camera: Camera, poses: FloatArray, views: list[BoardView]) -> C
     return Calibration(camera, dict(zip(names, sigmas.tolist(), strict=True)), np.array(rms_px))
 
 
+def _seen_by(camera: Camera, pose: FloatArray, view: BoardView, numbers: FloatArray) -> FloatArray:
+    return _seen(camera, numbers, pose, view)
+
+
+def _seen_from(camera: Camera, numbers: FloatArray, view: BoardView, pose: FloatArray) -> FloatArray:
+    return _seen(camera, numbers, pose, view)
+
+
 def _seen(camera: Camera, numbers: FloatArray, pose: FloatArray, view: BoardView) -> FloatArray:
     """(n, 2) pixels of a board's corners. numbers: of the camera; pose: (6,) the board's turn and place before it."""
-    plain = [float(number) for number in numbers]
-    changed = Camera(camera.model, camera.width_px, camera.height_px, *plain[:4], tuple(plain[4:]))
+    fx_px, fy_px, cx_px, cy_px, *lens = numbers.tolist()
+    changed = Camera(camera.model, camera.width_px, camera.height_px, fx_px, fy_px, cx_px, cy_px, tuple(lens))
     pixels, _ = changed.project(view.points_m @ np.asarray(cv2.Rodrigues(pose[:3])[0]).T + pose[3:])
     return pixels
 

@@ -45,7 +45,7 @@ class Band:
         height, width = self.likeness.shape
         column = np.clip(np.floor((u + 0.5) / self.scale[0]).astype(np.intp), 0, width - 1)
         row = np.clip(np.floor((v - self.top + 0.5) / self.scale[1]).astype(np.intp), 0, height - 1)
-        return self.likeness[row, column].astype(np.float64)
+        return np.asarray(self.likeness[row, column], dtype=np.float64)
 
 
 def band_about(picture: UInt8Array, turf: Turf, colour: Colour) -> Band | None:
@@ -68,8 +68,8 @@ def band_about(picture: UInt8Array, turf: Turf, colour: Colour) -> Band | None:
 
 def upright_edges(band: Band) -> tuple[Edges, Edges]:
     """Where, from left to right, a post's colour begins, and where it ends."""
-    change = np.asarray(cv2.Sobel(band.likeness, cv2.CV_16S, 1, 0, ksize=3))
-    across = np.abs(np.asarray(cv2.Sobel(band.likeness, cv2.CV_16S, 0, 1, ksize=3)))
+    change = np.asarray(cv2.Sobel(band.likeness, cv2.CV_16S, 1, 0, ksize=3), dtype=np.int16)
+    across = np.abs(np.asarray(cv2.Sobel(band.likeness, cv2.CV_16S, 0, 1, ksize=3), dtype=np.int16))
     sample = np.abs(change[::3, ::3]).ravel()
     least = max(
         _LEAST_CHANGE, float(np.partition(sample, int(_QUIET * (sample.size - 1)))[int(_QUIET * (sample.size - 1))])
@@ -116,7 +116,7 @@ def _fitted(u: FloatArray, v: FloatArray, label: NDArray[np.intp]) -> tuple[Floa
     weight = np.ones_like(u)
 
     def total(values: FloatArray) -> FloatArray:
-        return np.bincount(label, values * weight, minlength=groups)
+        return np.asarray(np.bincount(label, values * weight, minlength=groups), dtype=np.float64)
 
     intercept = slope = np.zeros(groups)
     residual = np.zeros_like(u)

@@ -55,7 +55,7 @@ def top_of(
     """The row of a post's upper end at its outer edge, and its variance; None where nothing else begins there."""
     places = _OUTER if bar_right else (1.0 - _OUTER[1], 1.0 - _OUTER[0])
     width = _width(edges, top_v)
-    u = edges[0] @ (1.0, top_v) + 0.5 * (places[0] + places[1]) * width
+    u = float(edges[0] @ (1.0, top_v) + 0.5 * (places[0] + places[1]) * width)
     v = int(np.clip(round(top_v - max(0.5 * width, 3.0)), 0, len(picture) - 1))
     above = picture[v, int(np.clip(round(u), 0, picture.shape[1] - 1))].astype(np.float64)
     if np.abs(above - own).max() < _LEAST_CONTRAST:
