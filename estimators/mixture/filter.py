@@ -155,8 +155,8 @@ class MixtureFilter:
 
     def estimate(self) -> Estimate | None:
         """`likeliest`, from when it was told or one place held 99 % of all that may be, its copies under the map's
-        symmetries together."""
-        return self.likeliest() if self._decided else None
+        symmetries together; from the first one on if its covariance is that of all hypotheses, and so says it."""
+        return self.likeliest() if self._decided or self._config.mixture.whole_covariance else None
 
     def likeliest(self) -> Estimate | None:
         """Where the robot is sooner than anywhere else, however unlikely that is."""
