@@ -102,6 +102,11 @@ class Ekf:
         return self._seen(self._views.sight(self._extra, self._filter.P[3:, 3:]))
 
     @property
+    def motion_scales(self) -> FloatArray:
+        """(2,) by how much the odometry is noisier than was thought, in variances along the way and of turns."""
+        return self._legs.scales
+
+    @property
     def learned(self) -> tuple[FloatArray, FloatArray]:
         """Mean (10,) and covariance (10, 10) of what is kept beside the pose (`estimators.views`)."""
         return self._extra, self._filter.P[3:, 3:]

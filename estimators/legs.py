@@ -11,6 +11,7 @@ with C1, C2 of the noise along the way and of the turns. Fisher scoring, leg by 
 slowly shows only in long ones). d is weighed as of a Student-t distribution: no outlier has more than a say.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +27,18 @@ _TAILS = 6.0  # degrees of freedom
 _NORMAL = 1.074  # of (tails + 5) / (tails + q), times q / 3, the mean for a normal d, with which it is no bias
 _MOST_STEP = 0.7
 _MOST = 4.0
+
+
+def as_noisy(motions: Sequence[Increment], scales: FloatArray) -> tuple[Increment, ...]:
+    """The motions of an odometry that is noisier by these factors (2,), where it does not state its covariance."""
+    parts = np.array([motion.parts for motion in motions]).reshape(-1, 2, 3, 3)
+    more = np.tensordot(parts, scales - 1.0, ((1,), (0,)))
+    return tuple(
+        replace(motion, covariance=motion.covariance + added, parts=scales[:, None, None] * part)
+        if part.any()
+        else motion
+        for motion, added, part in zip(motions, more, parts, strict=True)
+    )
 
 
 class Legs:

@@ -10,6 +10,7 @@ from estimators.chain import ChainRecorder, Recorded
 from estimators.config import Config
 from estimators.ekf import Ekf
 from estimators.engines import solver
+from estimators.legs import as_noisy
 from estimators.mixture.filter import MixtureFilter
 from estimators.mixture.lost import UNKNOWN
 from estimators.modes import ModeSequence
@@ -116,6 +117,7 @@ class Smoother:
     def trajectory(self) -> tuple[Estimate, ...]:
         """An estimate per node of the chain; none while no start has been found."""
         recorded = self._recorder.recorded()
+        recorded = replace(recorded, motions=as_noisy(recorded.motions, self._filter.motion_scales))
         self.resolution = None
         if recorded.mixtures and self._bank is not None:
             recorded, sequences = self._with_start(recorded, self._bank.sequences(_READINGS))
@@ -127,6 +129,7 @@ class Smoother:
             chain = self._recorder.chain(self._ahead.carried_ns)
             if chain is None:
                 return ()
+            chain = replace(chain, motions=as_noisy(chain.motions, self._filter.motion_scales))
             self.solution = solver(self._config)(chain, self._config, None)
         covariances = se2.rotate_covariance(self.solution.covariances, self.solution.poses[:, 2])
         out = tuple(map(Estimate, recorded.stamps_ns, self.solution.poses, covariances))

@@ -5,7 +5,7 @@ import pytest
 from walks import GENTLE, KNOWN_NOISE, ns
 
 from estimators.config import Calibration, Config, MotionNoise
-from estimators.legs import Legs
+from estimators.legs import Legs, as_noisy
 from estimators.motion import HeldVelocity, Increment
 from estimators.views import EXTRA, LATE, View, Views, prior
 from fieldloc import pose as se2
@@ -155,3 +155,20 @@ def test_a_view_and_its_derivative_agree(kind: str) -> None:
     np.testing.assert_allclose(
         view.covariance(view.of_state(covariance, np.eye(EXTRA) * 0.01)), covariance + 2.0 * view.chance, atol=1e-12
     )
+
+
+def test_motions_made_noisier_afterwards_are_those_of_a_noisier_odometry() -> None:
+    scales = np.array([2.0, 0.5])
+    plain, noisy = HeldVelocity(KNOWN_NOISE), HeldVelocity(KNOWN_NOISE)
+    noisy.scales = scales
+    motions = []
+    for held in (plain, noisy):
+        held.advance(0)
+        held.hold(Odometry(0, np.array([0.3, 0.05, 0.4])))
+        motions.append(held.advance(ns(0.5)))
+    one, other = motions
+    assert one is not None
+    assert other is not None
+    made = as_noisy([one], scales)[0]
+    np.testing.assert_allclose(made.covariance, other.covariance, rtol=1e-12)
+    np.testing.assert_allclose(made.parts, other.parts, rtol=1e-12)

@@ -167,6 +167,11 @@ class MixtureFilter:
         return self._seen(self._views.sight(self._extra, self._known)) if len(self._bank) else None
 
     @property
+    def motion_scales(self) -> FloatArray:
+        """(2,) by how much the odometry is noisier than was thought, in variances along the way and of turns."""
+        return self._legs.scales
+
+    @property
     def learned(self) -> tuple[FloatArray, FloatArray]:
         """Mean (10,) and covariance (10, 10) of what the best keeps beside the pose (`estimators.views`)."""
         return self._extra, self._known
