@@ -1,5 +1,5 @@
 import numpy as np
-from walks import feed, ns, velocities, walk
+from walks import GENTLE, feed, ns, velocities, walk
 
 from estimators.base import Estimate
 from estimators.config import Config, MotionNoise
@@ -45,7 +45,7 @@ def test_the_innovations_of_many_walks_are_chi_square() -> None:
         se2.retract(np.zeros(3), random.multivariate_normal(np.zeros(3), 0.01 * P3, walks)), commands, 0.1, random
     )
     for end in truth[-1]:
-        estimator = DeadReckoning(Config())
+        estimator = DeadReckoning(Config(motion=GENTLE))
         estimator.update(PoseFactor(0, np.zeros(3), 0.01 * P3))
         feed(estimator, [Odometry(ns(0.1 * k), command) for k, command in enumerate(commands)])
         seen = se2.apply(se2.inverse(end), landmark) + random.multivariate_normal(np.zeros(2), noise**2)
