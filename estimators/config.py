@@ -87,8 +87,9 @@ class Mixture:
 
     max_hypotheses: more are never kept, twins under the map's symmetries not counted. prune_below: hypotheses less
     likely than this are dropped. kidnaps_per_min: how often a robot is carried away unnoticed.
-    evidence_share: what a scan of landmarks says of hypotheses against each other counts for this share where one was
-    just before it: landmarks that stand beside their places on the map say the same wrong thing again and again.
+    evidence_share: what a scan of landmarks says of hypotheses against each other, and against being lost, counts for
+    this share where one was just before it: landmarks that stand beside their places on the map say the same wrong
+    thing again and again.
     whole_covariance: 1 makes the covariance of an estimate that of all hypotheses about it, 0 that of the best alone.
     """
 
