@@ -1,4 +1,3 @@
-import os
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from fieldloc.vision.posts import find_posts
 from fieldloc.vision.turf import find_turf
 
 CAMERA = Camera("pinhole", 640, 480, 600.0, 600.0, 319.5, 239.5)
-DATA = Path(os.environ.get("FIELDLOC_DATA", "/work/shared/data"))
+DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
 def view(name: str, pose: tuple[float, float, float], scene: Scene, camera: Camera = CAMERA, seed: int = 1):
