@@ -119,10 +119,10 @@ def test_what_differs_between_robots_is_learned(make: Make) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("make", EVERY)
 def test_what_is_learned_is_as_sure_as_it_says(make: Make) -> None:
-    walks = 60
+    walks = 40
     off, _, errors = learned(make, range(100, 100 + walks), 40)
     inside = np.mean(np.abs(off) < 2.0, axis=0)
-    assert (inside[:-1] > 0.86).all()  # 95.4 % are expected, four sigmas of the count below it 84.6 %
+    assert (inside[:-1] > 0.82).all()  # 95.4 % are expected, four sigmas of the count below it 82.2 %
     # the sum of both delays is known to a few milliseconds; what the first ones, taken straight, get wrong shows there
     assert inside[-1] > 0.7
     assert chi2.ppf(0.0005, 3 * walks) < np.sum(errors) < 1.15 * chi2.ppf(0.9995, 3 * walks)

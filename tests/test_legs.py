@@ -43,9 +43,7 @@ def walked(legs: Legs, louder: FloatArray, count: int, random: np.random.Generat
 
 @pytest.mark.parametrize("louder", [(4.0, 1.0), (1.0, 4.0), (0.4, 3.0)])
 def test_the_noise_of_the_way_and_that_of_turns_are_told_apart(louder: tuple[float, float]) -> None:
-    logs = [
-        np.log(walked(Legs(GENTLE), np.array(louder), 60, np.random.default_rng(seed))) for seed in range(12)
-    ]
+    logs = [np.log(walked(Legs(GENTLE), np.array(louder), 60, np.random.default_rng(seed))) for seed in range(12)]
     # of 60 legs, 2 numbers tell of the way and 1 of turns: sigmas of a logarithm are 0.13 and 0.18, over 12 runs a
     # third of that; the prior pulls by one part in thirty
     np.testing.assert_allclose(np.mean(logs, axis=0), np.log(louder), atol=0.3)

