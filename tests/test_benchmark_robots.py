@@ -106,12 +106,12 @@ def test_it_prints_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.slow
 def test_what_is_found_of_robots_is_as_near_as_it_is_said_to_be() -> None:
-    driven = [driven_by(120.0, seed) for seed in range(12)]
-    # 11 of 12 are expected, batch and online much the same; of one that is right less than 8 happens once in 10,000
-    assert min(inside(driven, 2.0).values()) >= 8 / 12
+    driven = [driven_by(120.0, seed) for seed in range(8)]
+    # 7 or 8 of 8 are expected, batch and online much the same; of one that is right less than 5 happens once in 5,000
+    assert min(inside(driven, 2.0).values()) >= 5 / 8
 
 
 @pytest.mark.slow
 def test_what_is_found_of_cameras_is_as_near_as_it_is_said_to_be() -> None:
-    found = [one for seed in range(2) for one in found_mount(60.0, seed)]
+    found = found_mount(60.0, 0)
     assert np.mean([abs(error) < 2.0 * sigma for _, error, sigma, _ in found]) >= 0.75

@@ -82,7 +82,7 @@ def robots(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @needs_mrclam
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "mean_m"), [("smooth", 0.13), ("ekf", 0.25), ("mixture", 0.25), ("particles", 0.25)])
+@pytest.mark.parametrize(("name", "mean_m"), [("smooth", 0.13), ("ekf", 0.25), ("mixture", 0.25)])
 def test_no_robot_of_mrclam_6_gets_lost(tmp_path: Path, robots: list[Path], name: str, mean_m: float) -> None:
     assert main(["compare", *map(str, robots), "--estimators", name, "-o", str(tmp_path / "out"), "--quiet"]) == 0
     document = json.loads((tmp_path / "out" / "metrics.json").read_text())

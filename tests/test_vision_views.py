@@ -9,7 +9,7 @@ from fieldloc.field import PRESETS
 from fieldloc.locate import Located
 
 PLACES = list(nao_places())
-SOME, MANY = 6, 30
+SOME, MANY = 6, 20
 
 
 def telling(name: str, seeds: range) -> list[Outcome]:
