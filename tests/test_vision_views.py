@@ -9,7 +9,7 @@ from fieldloc.field import PRESETS
 from fieldloc.locate import Located
 
 PLACES = list(nao_places())
-SOME, MANY = 6, 20
+SOME, MANY = 6, 60
 
 
 def telling(name: str, seeds: range) -> list[Outcome]:
@@ -27,7 +27,7 @@ def test_most_rendered_views_are_located_to_centimetres(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", ["kidsize", "spl"])
 def test_of_many_views_nearly_all_are_located_and_hardly_any_is_surely_wrong(name: str) -> None:
     views = telling(name, range(1000, 1000 + MANY))
     right = [one for one in views if one.rank >= 0]
