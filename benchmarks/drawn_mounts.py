@@ -5,7 +5,7 @@ from dataclasses import replace
 from estimators.config import Config, Graph
 from fieldloc.field import load_field
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, Measurement, Odometry
-from fieldloc.mount_fit import PARTS
+from fieldloc.mount_correction import PARTS
 from logs.calibrating import calibrate_recordings
 from logs.replay import Recording
 from logs.simulate import load_scenario

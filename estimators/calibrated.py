@@ -17,7 +17,7 @@ TOLD_NOTHING = 0.9  # of the prior's sigma: more than this is left where a log s
 _NEXT_TIME = 0.1  # of the prior's sigma: a robot is not quite the same the next day
 _ODOMETRY = len(OdometryCalibration._fields)
 _DELAY = _ODOMETRY + SensorCalibration._fields.index("delay_s")
-_UNITS = {"_rad": "rad", "_rad_per_m": "rad/m", "_mps": "m/s", "_radps": "rad/s", "_s": "s", "_m": "m"}
+_UNITS = {"_rad_per_m": "rad/m", "_radps": "rad/s", "_mps": "m/s", "_rad": "rad", "_s": "s", "_m": "m"}
 
 _NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields)
 
@@ -40,9 +40,23 @@ class Quantity:
     log_gain: float
     told: bool
 
+    @staticmethod
+    def found(section: str, name: str, before: float, value: float, sigma: float, prior_sigma: float) -> "Quantity":
+        """What was estimated of it, under a prior about `before`."""
+        if not 0.0 < sigma < TOLD_NOTHING * prior_sigma:
+            return Quantity(section, name, before, prior_sigma, prior_sigma, 0.0, told=False)
+        gain = 0.5 * (value - before) ** 2 * (1.0 / sigma**2 + 1.0 / prior_sigma**2)
+        return Quantity(section, name, value, sigma, prior_sigma, gain, told=True)
+
     @property
     def unit(self) -> str:
-        return next((unit for end, unit in sorted(_UNITS.items(), key=_longest) if self.name.endswith(end)), "-")
+        return next((unit for end, unit in _UNITS.items() if self.name.endswith(end)), "-")
+
+    @property
+    def plain_name(self) -> str:
+        """Without its unit, for people."""
+        end = next((end for end in _UNITS if self.name.endswith(end)), "")
+        return self.name.removesuffix(end).replace("_", " ")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,16 +110,13 @@ def calibrated(solutions: Sequence[Solution], config: Config) -> RobotCalibratio
     values = prior_mean.copy()
     values[free] = mean
     sigmas = np.minimum(np.sqrt(np.diagonal(whole)), prior_sigma)
-    quantities = []
-    for k, name in enumerate(_NAMES):
-        told = bool(free[k] and sigmas[k] < TOLD_NOTHING * prior_sigma[k])
-        gain = 0.0
-        if free[k]:
-            gain = 0.5 * (values[k] - prior_mean[k]) ** 2 * (1.0 / sigmas[k] ** 2 + 1.0 / prior_sigma[k] ** 2)
-        value, sigma = (values[k], sigmas[k]) if told else (prior_mean[k], prior_sigma[k])
-        section = "calibration" if k < _ODOMETRY else "sensor"
-        quantities.append(Quantity(section, name, float(value), float(sigma), float(prior_sigma[k]), float(gain), told))
-    return RobotCalibration(tuple(quantities), _late(solutions, quantities[_DELAY], config), whole, disagreement)
+    quantities = tuple(
+        Quantity.found("calibration" if k < _ODOMETRY else "sensor", name, *numbers)
+        for k, (name, *numbers) in enumerate(
+            zip(_NAMES, *(each.tolist() for each in (prior_mean, values, sigmas, prior_sigma)), strict=True)
+        )
+    )
+    return RobotCalibration(quantities, _late(solutions, quantities[_DELAY], config), whole, disagreement)
 
 
 def _likelihood(
@@ -136,7 +147,3 @@ def _late(solutions: Sequence[Solution], eyes: Quantity, config: Config) -> Quan
 def _known(section: Section, values: Sequence[float], sigmas: Sequence[float]) -> Section:
     """The sigmas come first in a section, then the values."""
     return type(section)(*sigmas, *values)
-
-
-def _longest(item: tuple[str, str]) -> int:
-    return -len(item[0])

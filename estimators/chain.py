@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from estimators.motion import STANDSTILL, Increment
-from estimators.sensor import lever
+from estimators.sensor import lever, seen_from
 from fieldloc import pose as se2
 from fieldloc.factors import Factor
 from fieldloc.mixture import IntArray, MixtureFactor
@@ -46,7 +46,7 @@ class Chain:
 
     def seen_from(self, poses: FloatArray, calibration: Sequence[float], sensor: Sequence[float]) -> FloatArray:
         """(n, 3) where a sensor of that calibration (2,) was when it saw what it says at the nodes of those poses."""
-        return se2.retract(poses, self.levers(np.array(calibration)) @ np.array(sensor))
+        return seen_from(poses, np.array(sensor), self.velocities(np.array(calibration)))
 
 
 def levers(stamps_ns: Sequence[int], motions: Sequence[Increment]) -> FloatArray:

@@ -21,8 +21,7 @@ from estimators.motion import OdometryCalibration
 from estimators.sensor import SensorCalibration
 from fieldloc.detection import Detection
 from fieldloc.errors import FieldlocError
-from fieldloc.mount_correction import MountCorrection
-from fieldloc.mount_fit import PARTS
+from fieldloc.mount_correction import PARTS, MountCorrection
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.scan_noise import NoisePrior
 from fieldloc.toml_table import TomlTable

@@ -33,8 +33,8 @@ def lever(velocity: FloatArray) -> FloatArray:
 
 
 def seen_from(poses: FloatArray, sensor: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Poses (..., 3) that something was seen from by robots at `poses` (..., 3) with calibrations `sensor` (..., 2)."""
-    return se2.retract(poses, sensor @ lever(velocity).T)
+    """Poses (..., 3) that something was seen from by robots at `poses` (..., 3) with a calibration `sensor` (2,)."""
+    return se2.retract(poses, lever(velocity) @ sensor)
 
 
 LEVER_BY_VELOCITY = lever(np.eye(3)) - lever(np.zeros(3))

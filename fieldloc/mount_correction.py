@@ -6,6 +6,8 @@ import numpy as np
 
 from fieldloc.measurements import CameraMount
 
+PARTS = ("height_m", "tilt_rad", "roll_rad")
+"""What of a mount a robot's own images tell (fieldloc.mount_fit)."""
 _ROWS = {"height_sigma_m": 0, "tilt_sigma_rad": 2, "roll_sigma_rad": 3}  # in CameraMount.covariance
 
 

@@ -12,18 +12,20 @@ tells from a turn of the robot: it is the business of who knows how the robot mo
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from fieldloc import pose as se2
 from fieldloc.camera import Camera
+from fieldloc.covariance import propagate
 from fieldloc.field import FieldMap
 from fieldloc.ground import attitude_axes, cross, project_points, robot_from_camera
 from fieldloc.measurements import CameraMount, ImageFeatures
+from fieldloc.mount_correction import MountCorrection
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import inflation
 
-PARTS = ("height_m", "tilt_rad", "roll_rad")
 _ROUNDS = 6
 _SETTLED = 0.1  # of a sigma
 _STEP = np.array([1e-4, 1e-5, 1e-5])  # of height, tilt, roll, where derivatives are taken numerically
@@ -36,9 +38,9 @@ _PRIOR_IMAGES = 4.0  # how many images the prior of the wobble is worth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountFit:
-    """In the order of PARTS: error (3,), what is to be added to what the log says; covariance (3, 3) of that; wobble
-    (3,) standard deviations image by image. sigmas: (3,) of the error beforehand. images: how many had something
-    to say.
+    """In the order of mount_correction.PARTS: error (3,), what is to be added to what the log says; covariance (3, 3)
+    of that; wobble (3,) standard deviations image by image. sigmas: (3,) of the error beforehand. images: how many had
+    something to say.
     """
 
     error: FloatArray
@@ -75,8 +77,9 @@ def fit_mount(
     error, wobble = np.zeros(3), 0.5 * sigmas
     covariance, used = np.diag(sigmas**2), 0
     for _ in range(_ROUNDS):
+        so_far, spread = MountCorrection(*error.tolist()), covariance + np.diag(wobble**2)
         seen = [
-            (_rows(image, error, pose, known, covariance + np.diag(wobble**2), camera, field), known, share)
+            (_rows(_View(image, so_far.applied(image.mount), spread, pose, known, camera, field)), known, share)
             for image, pose, known, share in zip(images, poses, _DOUBT * covariances, news, strict=True)
         ]
         told = [(rows, known, share) for rows, known, share in seen if len(rows.residual)]
@@ -88,17 +91,6 @@ def fit_mount(
         if (np.abs(error - before) < _SETTLED * np.sqrt(np.diagonal(covariance))).all():
             break
     return MountFit(error, covariance, wobble, sigmas, used)
-
-
-def corrected(mount: CameraMount, error: FloatArray) -> CameraMount:
-    """The mount with an error (3,), in the order of PARTS, taken out."""
-    height_m, tilt_rad, roll_rad = error.tolist()
-    return replace(
-        mount,
-        height_m=mount.height_m + height_m,
-        tilt_rad=mount.tilt_rad + tilt_rad,
-        roll_rad=mount.roll_rad + roll_rad,
-    )
 
 
 def _news(images: Sequence[ImageFeatures], correlation_s: float) -> FloatArray:
@@ -138,36 +130,33 @@ def _estimated(
     return at + step, np.asarray(covariance), np.asarray(np.sqrt(squares / count))
 
 
-def _rows(
-    image: ImageFeatures,
-    error: FloatArray,
-    pose: FloatArray,
-    known: FloatArray,
-    spread: FloatArray,
-    camera: Camera,
-    field: FieldMap,
-) -> _Rows:
-    mount = corrected(image.mount, error)
-    parts = [*_of_lines(image, mount, pose, known, spread, camera, field)]
-    parts += _of_feet(image, mount, pose, known, spread, camera, field)
+Part = tuple[FloatArray, FloatArray, FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """An image, its mount as it is thought to be with covariance `spread` (3, 3), and the pose (3,) that it was taken
+    from with covariance `known` (3, 3), robot frame."""
+
+    image: ImageFeatures
+    mount: CameraMount
+    spread: FloatArray
+    pose: FloatArray
+    known: FloatArray
+    camera: Camera
+    field: FieldMap
+
+
+def _rows(view: _View) -> _Rows:
+    parts = [*_of_lines(view), *_of_feet(view)]
     if not parts:
         return _Rows(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
     return _Rows(*(np.concatenate([part[k] for part in parts]) for k in range(3)))
 
 
-Part = tuple[FloatArray, FloatArray, FloatArray]
-
-
-def _of_lines(
-    image: ImageFeatures,
-    mount: CameraMount,
-    pose: FloatArray,
-    known: FloatArray,
-    spread: FloatArray,
-    camera: Camera,
-    field: FieldMap,
-) -> list[Part]:
+def _of_lines(view: _View) -> list[Part]:
     """A line's plane through the camera, v = (n, (d - n . c) / h), holds the rays of both ends (fixes.lines)."""
+    image, mount, pose, camera, field = view.image, view.mount, view.pose, view.camera, view.field
     if not image.lines or not len(field.lines):
         return []
     ends = np.array([line.ends_px for line in image.lines])
@@ -202,78 +191,54 @@ def _of_lines(
         both = np.zeros((len(plane), 2, 4))
         both[:, 0, :2], both[:, 1, 2:] = to_pixel[:, 0], to_pixel[:, 1]
         own = both @ noise[k] @ both.swapaxes(1, 2)
-        found = _clearest(-miss, by_mount, by_pose, own, known, spread)
+        found = _clearest(view, -miss, by_mount, by_pose, own)
         if found is not None:
             out.append(found)
     return out
 
 
-def _of_feet(
-    image: ImageFeatures,
-    mount: CameraMount,
-    pose: FloatArray,
-    known: FloatArray,
-    spread: FloatArray,
-    camera: Camera,
-    field: FieldMap,
-) -> list[Part]:
+def _of_feet(view: _View) -> list[Part]:
     """A post's foot is where its near side meets the ground."""
+    posts, field = view.image.posts, view.field
+    if not field.landmarks or all(post.foot_px is None for post in posts):
+        return []
+    there = _feet(view, view.mount, view.pose)
+    steps = [step * axis for step, axis in zip(_STEP.tolist(), np.eye(3), strict=True)]
+    moved = [_feet(view, MountCorrection(*step.tolist()).applied(view.mount), view.pose) for step in steps]
+    walked = [_feet(view, view.mount, se2.retract(view.pose, step)) for step in steps]
+    by_mount, by_pose = ((np.stack(those, axis=-1) - there[..., None]) / _STEP for those in (moved, walked))
+    seen = np.isfinite(there).all(axis=1)
     out = []
-    for post in image.posts:
-        if post.foot_px is None or post.foot_covariance_px2 is None or not field.landmarks:
+    for post in posts:
+        if post.foot_px is None or post.foot_covariance_px2 is None:
             continue
-        there = _feet(mount, pose, camera, field)
-        by_mount = np.stack(
-            [
-                (_feet(corrected(mount, step * axis), pose, camera, field) - there) / step
-                for step, axis in zip(_STEP, np.eye(3), strict=True)
-            ],
-            axis=-1,
-        )
-        by_pose = np.stack(
-            [
-                (_feet(mount, _stepped(pose, step * axis), camera, field) - there) / step
-                for step, axis in zip(_STEP, np.eye(3), strict=True)
-            ],
-            axis=-1,
-        )
-        own = np.broadcast_to(post.foot_covariance_px2, (len(there), 2, 2))
-        right = np.isfinite(there).all(axis=1)
-        if post.label is not None:
-            right &= np.array([label == post.label for label in field.labels])
+        right = seen if post.label is None else seen & np.array([label == post.label for label in field.labels])
         if right.any():
-            found = _clearest((post.foot_px - there)[right], by_mount[right], by_pose[right], own[right], known, spread)
+            own = np.broadcast_to(post.foot_covariance_px2, (len(there), 2, 2))
+            miss = post.foot_px - there
+            found = _clearest(view, miss[right], by_mount[right], by_pose[right], own[right])
             if found is not None:
                 out.append(found)
     return out
 
 
-def _feet(mount: CameraMount, pose: FloatArray, camera: Camera, field: FieldMap) -> FloatArray:
+def _feet(view: _View, mount: CameraMount, pose: FloatArray) -> FloatArray:
     """(m, 2) pixels of the near sides of all landmarks, NaN behind the camera."""
-    away = field.positions - pose[:2]
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    at = np.stack([c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]], axis=1)
+    at = se2.apply(se2.inverse(pose), view.field.positions)
     foot = np.array([mount.x_m, mount.y_m])
     reach = np.linalg.norm(at - foot, axis=1, keepdims=True)
-    radius = 0.5 * np.array([mark.diameter_m for mark in field.landmarks])[:, None]
+    radius = 0.5 * np.array([mark.diameter_m for mark in view.field.landmarks])[:, None]
     near = at - (at - foot) * (radius / np.maximum(reach, 1e-6))
-    pixels, _ = project_points(camera, mount, np.column_stack([near, np.zeros(len(near))]))
+    pixels, _ = project_points(view.camera, mount, np.column_stack([near, np.zeros(len(near))]))
     return pixels
 
 
-def _stepped(pose: FloatArray, step: FloatArray) -> FloatArray:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.asarray(pose + [c * step[0] - s * step[1], s * step[0] + c * step[1], step[2]])
-
-
-def _clearest(
-    miss: FloatArray, by_mount: FloatArray, by_pose: FloatArray, own: FloatArray, known: FloatArray, spread: FloatArray
-) -> Part | None:
+def _clearest(view: _View, miss: FloatArray, by_mount: FloatArray, by_pose: FloatArray, own: FloatArray) -> Part | None:
     """The one of m things on the map that this can be, whitened; None for none, and where two can be it.
 
     miss: (m, 2) seen - predicted, by_mount and by_pose (m, 2, 3) of the prediction; own: (m, 2, 2) noise of the seen.
     """
-    whole = own + by_pose @ known @ by_pose.swapaxes(1, 2) + by_mount @ spread @ by_mount.swapaxes(1, 2)
+    whole = own + propagate(by_pose, view.known) + propagate(by_mount, view.spread)
     distance = np.einsum("mi,mi->m", miss, np.linalg.solve(whole, miss[..., None])[..., 0])
     order = np.argsort(distance)
     best = int(order[0])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.calibrated import TOLD_NOTHING, Quantity, RobotCalibration, calibrated
+from estimators.calibrated import Quantity, RobotCalibration, calibrated
 from estimators.config import Config
 from estimators.sensor import seen_from
 from estimators.smoother import Smoother
@@ -15,8 +15,8 @@ from fieldloc import pose as se2
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
 from fieldloc.measurements import ImageFeatures
-from fieldloc.mount_correction import MountCorrection
-from fieldloc.mount_fit import PARTS, MountFit, fit_mount
+from fieldloc.mount_correction import PARTS, MountCorrection
+from fieldloc.mount_fit import MountFit, fit_mount
 from fieldloc.pose import FloatArray
 from logs.atomic import atomic_text
 from logs.progress import Progress, unwatched
@@ -121,10 +121,8 @@ def _views(measurements: Sequence[object], stamps_ns: Sequence[int], solution: S
     before = solution.poses[rows - 1].reshape(-1, 3)
     elapsed_s = (np.array(stamps_ns)[rows] - np.array(stamps_ns)[rows - 1]).reshape(-1, 1) * 1e-9
     velocities = se2.log(se2.between(before, poses)) / elapsed_s
-    seen = [
-        seen_from(pose, np.array(solution.sensor), velocity) for pose, velocity in zip(poses, velocities, strict=True)
-    ]
-    return _Views(tuple(images), np.array(seen).reshape(-1, 3), solution.covariances[rows].reshape(-1, 3, 3))
+    seen = seen_from(poses, np.array(solution.sensor), velocities)
+    return _Views(tuple(images), seen, solution.covariances[rows].reshape(-1, 3, 3))
 
 
 def _fitted(
@@ -152,14 +150,14 @@ def _fitted(
 
 
 def _quantities(fit: MountFit, config: Config) -> tuple[Quantity, ...]:
-    out = []
-    before = (config.mount.height_m, config.mount.tilt_rad, config.mount.roll_rad)
-    for k, name in enumerate(PARTS):
-        sigma, error, prior = float(fit.covariance[k, k] ** 0.5), float(fit.error[k]), float(fit.sigmas[k])
-        told = sigma < TOLD_NOTHING * prior
-        gain = 0.5 * error**2 * (1.0 / sigma**2 + 1.0 / prior**2)
-        out.append(Quantity("mount", name, before[k] + error * told, sigma if told else prior, prior, gain, told))
-    return tuple(out)
+    found = zip(
+        PARTS, fit.error.tolist(), np.sqrt(np.diagonal(fit.covariance)).tolist(), fit.sigmas.tolist(), strict=True
+    )
+    before = {name: float(getattr(config.mount, name)) for name in PARTS}
+    return tuple(
+        Quantity.found("mount", name, before[name], before[name] + error, sigma, prior)
+        for name, error, sigma, prior in found
+    )
 
 
 def _mount(quantities: Sequence[Quantity], wobble: Sequence[float]) -> MountCorrection:
@@ -196,10 +194,7 @@ def write_settings(path: Path, done: CalibratedRobot, config: Config) -> None:
 
 
 def _row(quantity: Quantity) -> tuple[str, ...]:
-    name = quantity.name
-    for unit in ("_rad_per_m", "_radps", "_mps", "_rad", "_s", "_m"):
-        name = name.removesuffix(unit)
-    name = f"camera {name}" if quantity.section == "mount" else name.replace("_", " ")
+    name = f"camera {quantity.plain_name}" if quantity.section == "mount" else quantity.plain_name
     value, before = f"{quantity.value:+.4f}", f"{quantity.prior_sigma:.4f}"
     if not quantity.told:
         return name, value, "not told", before, quantity.unit, NOTHING

@@ -9,7 +9,8 @@ from image_scene import CAMERA, MOUNT, see
 from fieldloc import pose as se2
 from fieldloc.field import load_field
 from fieldloc.measurements import ImageFeatures
-from fieldloc.mount_fit import MountFit, corrected, fit_mount
+from fieldloc.mount_correction import MountCorrection
+from fieldloc.mount_fit import MountFit, fit_mount
 from fieldloc.pose import FloatArray
 
 FIELD = load_field("kidsize")
@@ -26,7 +27,8 @@ def walk(
     images, poses = [], []
     while len(images) < count:
         pose = np.array([*rng.uniform([-3.5, -2.5], [3.5, 2.5]), rng.uniform(-np.pi, np.pi)])
-        real = corrected(replace(MOUNT, covariance=np.zeros((4, 4))), error + WOBBLE * rng.standard_normal(3))
+        off = MountCorrection(*(error + WOBBLE * rng.standard_normal(3)).tolist())
+        real = off.applied(replace(MOUNT, covariance=np.zeros((4, 4))))
         seen = see(FIELD, pose, 2_000_000_000 * len(images), rng, sigma_px, real)
         seen = replace(seen, mount=MOUNT, lines=() if posts_only else seen.lines)
         if seen.lines or seen.posts:
