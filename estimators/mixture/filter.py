@@ -16,6 +16,7 @@ from estimators.config import Config
 from estimators.divergence import Restart
 from estimators.legs import Legs
 from estimators.mixture import report
+from estimators.mixture.attention import Attention
 from estimators.mixture.bank import Bank, gaussian
 from estimators.mixture.heard import Heard
 from estimators.mixture.lineage import Lineage
@@ -34,12 +35,7 @@ from fieldloc.measurements import Odometry
 from fieldloc.mixture import MixtureFactor, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import Region
-from fieldloc.scan_mixture import ScanMixture
 
-_DOUBT = np.log(0.1)  # of all being wrong: an observation is asked for its own poses
-_LOST = np.log(0.01)
-_ASK_EVERY_NS = 1_000_000_000
-_SAID_S = 2.0  # what is seen again after this has partly become news
 _ONE_PLACE = 0.99  # as `Watch` calls it a decision
 _CROWD = 4  # times as many as may stay are compared for being alike
 
@@ -69,8 +65,7 @@ class MixtureFilter:
         self._first = (0, 0)  # row and copy of the best
         self._last: FloatArray | None = None  # its pose
         self._pending, self._pending_s = STANDSTILL, 0.0
-        self._asked_ns: int | None = None
-        self._scan_ns: int | None = None
+        self._attention = Attention(config.mixture.evidence_share)
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
@@ -87,7 +82,8 @@ class MixtureFilter:
         self._restart.forget()
         self._watch.forget(decided=False)
         self._decided = False
-        self._last = self._asked_ns = None
+        self._last = None
+        self._attention.asked(None)
 
     def predict(self, odometry: Odometry) -> None:
         self.advance(odometry.stamp_ns)
@@ -139,9 +135,10 @@ class MixtureFilter:
             self._heard = Heard(mixture)
         view = self._views.about(mixture.by_sight, mixture.by_compass, self._extra, self._known)
         children = Children.of(self._bank, self._sides, mixture, view)
-        news = self._news(mixture)
+        news = self._attention.news(mixture, self._now_ns)
         children = children.tempered(news)
-        solutions = mixture.solutions() if self._asks(children, mixture) else None
+        asks = self._attention.asks(children, mixture, self._lost.total, self._now_ns)
+        solutions = mixture.solutions() if asks else None
         missed = self._lost.missed(mixture, solutions)
         births = self._born(solutions or PoseSolutions.none(), mixture.symmetric, view)
         if news < 1.0 and len(self._bank):
@@ -219,7 +216,7 @@ class MixtureFilter:
         self._lost = self._lost.after(np.array([-np.inf, -np.inf]))
         self._first, self._last = (0, 0), pose
         self._begin_leg()
-        self._asked_ns = self._now_ns
+        self._attention.asked(self._now_ns)
         self._lineage.begin(self._bank)
         self._restart.forget()
         self._watch.forget(decided=True)
@@ -263,28 +260,6 @@ class MixtureFilter:
             return bank
         left, gain = self._config.compass.wander(self._pending_s)
         return bank.moved(self._pending, self._extra[:CALIBRATION], left, gain)
-
-    def _news(self, mixture: MixtureFactor) -> float:
-        """Share of what it says of hypotheses against each other that was not said a moment ago."""
-        if not isinstance(mixture, ScanMixture):
-            return 1.0  # all other kinds have seen to it themselves
-        before_ns, self._scan_ns = self._scan_ns, self._now_ns
-        if before_ns is None:
-            return 1.0
-        old = 1.0 - self._config.mixture.evidence_share
-        return 1.0 - old * math.exp((before_ns - self._now_ns) * 1e-9 / _SAID_S)
-
-    def _asks(self, children: Children, mixture: MixtureFactor) -> bool:
-        """Whether the observation is to say itself where the robot may be, which may take it long: if that is not
-        known, if nothing known explains it, and now and then. The approximation: at other times the lost robot is not
-        found, though it is unlikely that it is lost."""
-        if mixture.by_compass:
-            return False
-        late = self._asked_ns is None or self._now_ns - self._asked_ns >= _ASK_EVERY_NS
-        if not (late or self._lost.total > _LOST or children.blind > children.total + _DOUBT):
-            return False
-        self._asked_ns = self._now_ns
-        return True
 
     def _born(self, solutions: PoseSolutions, symmetric: bool, view: View) -> Bank:
         count = len(solutions.ids)
