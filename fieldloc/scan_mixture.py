@@ -19,6 +19,7 @@ from fieldloc import pose as se2
 from fieldloc.detection import Detection
 from fieldloc.factors import Factor, PoseFactor, sighted
 from fieldloc.field import FieldMap
+from fieldloc.fixes.landmarks import LandmarkFix
 from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
@@ -28,7 +29,7 @@ from fieldloc.scan_coverage import Misses
 from fieldloc.scan_expansion import expand
 from fieldloc.scan_factors import landmark_factors, seen_in_robot
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
-from fieldloc.scan_fix import scan_fixes
+from fieldloc.scan_fix import scan_fixes, scan_misfit
 from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
 from fieldloc.scan_noise import AS_STATED, ScanNoise
@@ -124,17 +125,27 @@ class ScanMixture:
         wider = np.where((matches >= 0)[:, None], model.wider[matches], 1.0)
         repeated = bool((wider > 1.0).any() or (model.wider_shared > 1.0).any())
         if len(rows) >= 2:
-            limit = CHI2_LIMITS[min(len(rows) - 2, len(CHI2_LIMITS) - 1)]
-            fixes = scan_fixes(model, matches, mount, None)
-            if len(fixes) == 1 and fixes[0].chi2 < limit:
-                if repeated:
-                    fixes = scan_fixes(model, matches, mount, wider)
-                if len(fixes) == 1 and fixes[0].nonlinearity <= _MAX_NONLINEARITY:
-                    return (sighted(PoseFactor.from_fix(self.stamp_ns, fixes[0])),)
+            fixes = scan_fixes(model, matches, mount, wider if repeated else None)
+            if (
+                len(fixes) == 1
+                and fixes[0].nonlinearity <= _MAX_NONLINEARITY
+                and self._agree(matches, fixes[0], repeated)
+            ):
+                return (sighted(PoseFactor.from_fix(self.stamp_ns, fixes[0])),)
         root = np.sqrt(wider[rows])
         covariance = model.covariance[rows] * root[:, :, None] * root[:, None, :]
         covariance += (model.shared_widened[rows] ** 2)[:, :, None] * np.eye(2)
         return landmark_factors(self.scan, self.field_map, rows, which, covariance)
+
+    def _agree(self, matches: IntArray, fix: LandmarkFix, repeated: bool) -> bool:
+        """Whether landmarks (n,) agree on a fix, by errors that are not widened."""
+        limit = CHI2_LIMITS[min(int((matches >= 0).sum()) - 2, len(CHI2_LIMITS) - 1)]
+        if not repeated:
+            return bool(fix.chi2 < limit)
+        mount = self.scan.robot_from_sensor
+        if scan_misfit(self.model, matches, mount, fix.pose) < limit:
+            return True  # its own best fits better still
+        return any(narrow.chi2 < limit for narrow in scan_fixes(self.model, matches, mount, None))
 
     def matches(self, solution: int) -> IntArray:
         """(n,) per landmark of `scan` the index of the map's in the solution of that id, -1 where it is none."""

@@ -10,9 +10,10 @@ from fieldloc.covariance import central_difference, log_peaks
 from fieldloc.detection import Detection
 from fieldloc.factors import LandmarkFactor, PoseFactor
 from fieldloc.field import FieldMap, Landmark
+from fieldloc.fixes.landmarks import landmark_fix
 from fieldloc.measurements import LandmarkScan
 from fieldloc.pose import FloatArray
-from fieldloc.scan_fix import scan_fixes
+from fieldloc.scan_fix import scan_fixes, scan_misfit
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
 from fieldloc.scan_noise import ScanNoise
 from fieldloc.scan_quadratics import quadratics
@@ -210,12 +211,23 @@ def test_a_fix_is_that_of_least_squares_under_the_dense_covariance() -> None:
         error = scan.range_bearing.ravel() - seen_after(np.zeros(3))
         covariance = np.linalg.inv(by_pose.T @ precision @ by_pose)
         pose = se2.retract(pose, covariance @ by_pose.T @ precision @ error)
-    # a tenth of a sigma, and of the variances
     off = se2.local(pose, fix.pose)
-    assert off @ np.linalg.solve(covariance, off) < 0.1**2
+    assert off @ np.linalg.solve(covariance, off) < 1e-8
     in_robot = PoseFactor.from_fix(7, fix).covariance
-    np.testing.assert_allclose(in_robot, covariance, atol=0.1 * np.abs(covariance).max())
-    assert fix.chi2 == pytest.approx(float(error @ precision @ error), rel=0.05)
+    np.testing.assert_allclose(in_robot, covariance, atol=1e-4 * np.abs(covariance).max())
+    assert fix.chi2 == pytest.approx(float(error @ precision @ error), rel=1e-6)
+    assert scan_misfit(one.model, match, MOUNT, fix.pose) == pytest.approx(fix.chi2, rel=1e-9)
+
+
+def test_what_leaving_a_landmark_out_gains_is_right_with_ranges_that_err_together() -> None:
+    positions = field_of().positions[:4]
+    z = expected_of(POSE, positions).reshape(-1, 2) + [[0.02, 0.01], [-0.01, 0.005], [0.015, -0.01], [0.0, 0.005]]
+    own, longer = np.tile(np.diag([0.01, 0.01]) ** 2, (4, 1, 1)), 0.05 * z[:, 0]
+    (whole,) = landmark_fix(positions, z, own, shared_range_m=longer)
+    for i in range(4):
+        rest = np.arange(4) != i
+        (without,) = landmark_fix(positions[rest], z[rest], own[rest], shared_range_m=longer[rest])
+        assert np.isclose(whole.chi2_each[i], whole.chi2 - without.chi2, rtol=0.02, atol=1e-3)
 
 
 def test_fixes_of_scans_with_shared_errors_are_as_far_off_as_they_say() -> None:

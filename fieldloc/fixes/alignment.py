@@ -14,11 +14,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 _MAX_ITERATIONS = 20  # two do, unless the geometry is bad
+_ON_IT_M = 1e-12  # on the landmark any direction will do
 _CONVERGED = 1e-9  # squared length of the last step in its own sigmas; what is left of it is smaller still
 
 
 class Sight(NamedTuple):
-    """One landmark: its place, from the landmarks' middle, and the covariance of it; what was seen, and that of it."""
+    """One landmark: its place, from the landmarks' middle, and the covariance of it; what was seen, and that of it; and
+    by how much its range is too long where all of them are together, one standard deviation of that."""
 
     x: float
     y: float
@@ -30,6 +32,7 @@ class Sight(NamedTuple):
     rr: float
     rb: float
     bb: float
+    longer: float = 0.0
 
 
 State = tuple[float, float, float]
@@ -38,13 +41,23 @@ Symmetric = tuple[float, float, float, float, float, float]
 """Upper triangle of a symmetric 3x3 matrix by rows."""
 
 
+class Shared(NamedTuple):
+    """By how many standard deviations all ranges are likeliest too long, the variance of that at the state, and by how
+    much it falls with a step of it."""
+
+    value: float
+    variance: float
+    by_state: tuple[float, float, float]
+
+
 class Equations(NamedTuple):
-    """Normal equations a step = g at a state."""
+    """Normal equations a step = g at a state; what ranges share is at its likeliest there, and free in `a`."""
 
     chi2: float
     log_det: float
     a: Symmetric
     g: tuple[float, float, float]
+    shared: Shared
 
 
 def rigid_alignment(sights: Sequence[Sight]) -> State:
@@ -95,57 +108,67 @@ def minimise(state: State, sights: Sequence[Sight]) -> tuple[State, Equations] |
     return None
 
 
-def _seen_from(state: State, s: Sight) -> tuple[float, float, float, float, float, float, float, float]:
-    """What a state says of one landmark: range_m and bearing_rad; then u and v, the derivatives of range and bearing by
-    the point (x, y) in the sensor's frame; then that point's derivative by the heading."""
-    c, sine = math.cos(state[2]), math.sin(state[2])
-    across_x, across_y = c * s.x + sine * s.y, c * s.y - sine * s.x
-    qx, qy = state[0] + across_x, state[1] + across_y
-    d = math.hypot(qx, qy) or 1e-12  # on the landmark: any direction will do
-    ux, uy = qx / d, qy / d
-    return d, math.atan2(qy, qx), ux, uy, -uy / d, ux / d, across_y, -across_x
-
-
-def _noise(state: State, s: Sight, ux: float, uy: float, vx: float, vy: float) -> tuple[float, float, float]:
-    """Covariance (rr, rb, bb) of the residual: the sensor's, and the map's turned into the sensor's frame."""
-    if s.xx == 0.0 == s.yy:
-        return s.rr, s.rb, s.bb
-    c, sine = math.cos(state[2]), math.sin(state[2])
-    ux, uy, vx, vy = c * ux - sine * uy, sine * ux + c * uy, c * vx - sine * vy, sine * vx + c * vy
-    return (
-        s.rr + ux * ux * s.xx + 2.0 * ux * uy * s.xy + uy * uy * s.yy,
-        s.rb + ux * vx * s.xx + (ux * vy + uy * vx) * s.xy + uy * vy * s.yy,
-        s.bb + vx * vx * s.xx + 2.0 * vx * vy * s.xy + vy * vy * s.yy,
-    )
-
-
 def equations(state: State, sights: Sequence[Sight]) -> Equations:
     """Sum over the landmarks of J^T W J and J^T W e, W the inverse covariance of the residual e = seen - expected."""
+    # written out: this is where the time goes
     chi2 = log_det = a00 = a01 = a02 = a11 = a12 = a22 = g0 = g1 = g2 = 0.0
-    for s in sights:
-        d, direction, ux, uy, vx, vy, tx, ty = _seen_from(state, s)
-        error_range, error_bearing = s.range_m - d, math.remainder(s.bearing_rad - direction, math.tau)
-        rr, rb, bb = _noise(state, s, ux, uy, vx, vy)
+    b0 = b1 = b2 = by_shared = pull = 0.0
+    cosine, sine = math.cos(state[2]), math.sin(state[2])
+    for x, y, xx, xy, yy, range_m, bearing_rad, rr, rb, bb, longer in sights:
+        across_x, across_y = cosine * x + sine * y, cosine * y - sine * x
+        qx, qy = state[0] + across_x, state[1] + across_y
+        d = math.hypot(qx, qy) or _ON_IT_M
+        ux, uy = qx / d, qy / d
+        vx, vy = -uy / d, ux / d
+        error_range, error_bearing = range_m - d, math.remainder(bearing_rad - math.atan2(qy, qx), math.tau)
+        if xx != 0.0 or yy != 0.0:
+            rr, rb, bb = _with_survey(cosine, sine, ux, uy, vx, vy, xx, xy, yy, rr, rb, bb)
         det = rr * bb - rb * rb
         wrr, wrb, wbb = bb / det, -rb / det, rr / det
         # J = [[ux, uy, uh], [vx, vy, vh]]
-        uh, vh = ux * tx + uy * ty, vx * tx + vy * ty
+        uh, vh = ux * across_y - uy * across_x, vx * across_y - vy * across_x
         weighted_range = wrr * error_range + wrb * error_bearing
         weighted_bearing = wrb * error_range + wbb * error_bearing
         chi2 += error_range * weighted_range + error_bearing * weighted_bearing
         log_det += math.log(det)
         wu_x, wv_x = wrr * ux + wrb * vx, wrb * ux + wbb * vx
         wu_y, wv_y = wrr * uy + wrb * vy, wrb * uy + wbb * vy
+        wu_h, wv_h = wrr * uh + wrb * vh, wrb * uh + wbb * vh
         a00 += ux * wu_x + vx * wv_x
         a01 += uy * wu_x + vy * wv_x
         a02 += uh * wu_x + vh * wv_x
         a11 += uy * wu_y + vy * wv_y
         a12 += uh * wu_y + vh * wv_y
-        a22 += uh * (wrr * uh + wrb * vh) + vh * (wrb * uh + wbb * vh)
+        a22 += uh * wu_h + vh * wv_h
         g0 += ux * weighted_range + vx * weighted_bearing
         g1 += uy * weighted_range + vy * weighted_bearing
         g2 += uh * weighted_range + vh * weighted_bearing
-    return Equations(chi2, log_det, (a00, a01, a02, a11, a12, a22), (g0, g1, g2))
+        if longer:
+            b0, b1, b2 = b0 + longer * wu_x, b1 + longer * wu_y, b2 + longer * wu_h
+            by_shared += longer * longer * wrr
+            pull += longer * weighted_range
+    variance = 1.0 / (1.0 + by_shared)
+    value, f0, f1, f2 = variance * pull, variance * b0, variance * b1, variance * b2
+    return Equations(
+        chi2 - value * pull,
+        log_det - math.log(variance),
+        (a00 - b0 * f0, a01 - b0 * f1, a02 - b0 * f2, a11 - b1 * f1, a12 - b1 * f2, a22 - b2 * f2),
+        (g0 - b0 * value, g1 - b1 * value, g2 - b2 * value),
+        Shared(value, variance, (f0, f1, f2)),
+    )
+
+
+def _with_survey(
+    cosine: float, sine: float, ux: float, uy: float, vx: float, vy: float,
+    xx: float, xy: float, yy: float, rr: float, rb: float, bb: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Covariance (rr, rb, bb) of the residual: the sensor's, and the map's turned into the sensor's frame."""
+    ux, uy, vx, vy = cosine * ux - sine * uy, sine * ux + cosine * uy, cosine * vx - sine * vy, sine * vx + cosine * vy
+    return (
+        rr + ux * ux * xx + 2.0 * ux * uy * xy + uy * uy * yy,
+        rb + ux * vx * xx + (ux * vy + uy * vx) * xy + uy * vy * yy,
+        bb + vx * vx * xx + 2.0 * vx * vy * xy + vy * vy * yy,
+    )
 
 
 def inverse(a: Symmetric) -> Symmetric | None:
@@ -159,20 +182,30 @@ def inverse(a: Symmetric) -> Symmetric | None:
     return c00 / det, c01 / det, c02 / det, c11 / det, c12 / det, c22 / det
 
 
-def chi2_each(state: State, p: Symmetric, chi2: float, sights: Sequence[Sight]) -> list[float]:
+def chi2_each(state: State, p: Symmetric, at: Equations, sights: Sequence[Sight]) -> list[float]:
     """e^T (S - J P J^T)^-1 e per landmark: to first order what chi2 loses without it."""
     if len(sights) == 2:
-        return [chi2, chi2]
+        return [at.chi2, at.chi2]
     p00, p01, p02, p11, p12, p22 = p
+    value, variance, (f0, f1, f2) = at.shared
+    cosine, sine = math.cos(state[2]), math.sin(state[2])
     out = []
-    for s in sights:
-        d, direction, ux, uy, vx, vy, tx, ty = _seen_from(state, s)
-        error_range, error_bearing = s.range_m - d, math.remainder(s.bearing_rad - direction, math.tau)
-        rr, rb, bb = _noise(state, s, ux, uy, vx, vy)
-        uh, vh = ux * tx + uy * ty, vx * tx + vy * ty
+    for x, y, xx, xy, yy, range_m, bearing_rad, rr, rb, bb, longer in sights:
+        across_x, across_y = cosine * x + sine * y, cosine * y - sine * x
+        qx, qy = state[0] + across_x, state[1] + across_y
+        d = math.hypot(qx, qy) or _ON_IT_M
+        ux, uy = qx / d, qy / d
+        vx, vy = -uy / d, ux / d
+        error_range = range_m - d - longer * value
+        error_bearing = math.remainder(bearing_rad - math.atan2(qy, qx), math.tau)
+        if xx != 0.0 or yy != 0.0:
+            rr, rb, bb = _with_survey(cosine, sine, ux, uy, vx, vy, xx, xy, yy, rr, rb, bb)
+        uh, vh = ux * across_y - uy * across_x, vx * across_y - vy * across_x
+        # what is shared follows the state
+        ux, uy, uh = ux - longer * f0, uy - longer * f1, uh - longer * f2
         pu = (p00 * ux + p01 * uy + p02 * uh, p01 * ux + p11 * uy + p12 * uh, p02 * ux + p12 * uy + p22 * uh)
         pv = (p00 * vx + p01 * vy + p02 * vh, p01 * vx + p11 * vy + p12 * vh, p02 * vx + p12 * vy + p22 * vh)
-        left_rr = rr - (ux * pu[0] + uy * pu[1] + uh * pu[2])
+        left_rr = rr - (ux * pu[0] + uy * pu[1] + uh * pu[2]) - longer * longer * variance
         left_rb = rb - (vx * pu[0] + vy * pu[1] + vh * pu[2])
         left_bb = bb - (vx * pv[0] + vy * pv[1] + vh * pv[2])
         det = left_rr * left_bb - left_rb * left_rb
@@ -180,5 +213,5 @@ def chi2_each(state: State, p: Symmetric, chi2: float, sights: Sequence[Sight]) 
             cross = error_range * error_bearing
             out.append((left_bb * error_range**2 - 2.0 * left_rb * cross + left_rr * error_bearing**2) / det)
         else:  # the others do not determine the pose
-            out.append(chi2)
+            out.append(at.chi2)
     return out

@@ -25,6 +25,7 @@ _MAX_HEADING_SIGMA_RAD = 0.3  # beyond it no ellipse is honest: samples show err
 _PROBE_SIGMAS = 2.0
 _FIRST_ORDER = 0.05  # nonlinearity up to which the first-order covariance is within a few percent
 _HEADINGS = 12  # tried for other solutions
+_NO_MOUNT = (0.0, 0.0, 0.0)
 _UNLIKELY = 30.0  # chi2 above the best one's, where a solution is not worth naming
 
 
@@ -53,6 +54,7 @@ def landmark_fix(
     covariance: FloatArray,
     positions_covariance: FloatArray | None = None,
     robot_from_sensor: FloatArray | None = None,
+    shared_range_m: FloatArray | None = None,
 ) -> tuple[LandmarkFix, ...]:
     """All poses of the robot that explain the landmarks, likeliest first: one, or none where they do not determine it.
 
@@ -63,13 +65,15 @@ def landmark_fix(
     positions: (n, 2) of the landmarks on the map, metres, field frame; positions_covariance: (n, 2, 2) of these.
     range_bearing: (n, 2) metres, radians, as the sensor sees them; covariance: (n, 2, 2) of these, per landmark.
     robot_from_sensor: (3,) where the sensor sits; on the robot's origin when not given.
+    shared_range_m: (n,) by how much each range is too long where all of them are together, one standard deviation of
+    that, beside what `covariance` says of each by itself.
     Empty for fewer than two landmarks, coincident ones, a range that is not positive, a value that is not finite.
     Raises ValueError for shapes that do not fit and a covariance that is not positive definite.
     """
-    middle, sights = _sights(positions, range_bearing, covariance, positions_covariance)
+    middle, sights = _sights(positions, range_bearing, covariance, positions_covariance, shared_range_m)
     if len(sights) < 2:
         return ()
-    mount = (0.0, 0.0, 0.0) if robot_from_sensor is None else robot_from_sensor.tolist()
+    mount = _NO_MOUNT if robot_from_sensor is None else robot_from_sensor.tolist()
     found = minimise(rigid_alignment(sights), sights)
     first = found and _fix(*found, middle, sights, mount)
     if not found or not first:
@@ -79,6 +83,22 @@ def landmark_fix(
     others = [_fix(*other, middle, sights, mount) for other in _other_minima(*found, sights)]
     fixes = sorted([first, *(fix for fix in others if fix)], key=lambda fix: -fix.log_weight)
     return tuple(fix for fix in fixes if fix.chi2 - fixes[0].chi2 < _UNLIKELY)
+
+
+def landmark_misfit(
+    pose: FloatArray,
+    positions: FloatArray,
+    range_bearing: FloatArray,
+    covariance: FloatArray,
+    positions_covariance: FloatArray | None = None,
+    robot_from_sensor: FloatArray | None = None,
+    shared_range_m: FloatArray | None = None,
+) -> float:
+    """chi2 as in `landmark_fix`, at a pose (3,) of the robot; infinite for landmarks that have none."""
+    middle, sights = _sights(positions, range_bearing, covariance, positions_covariance, shared_range_m)
+    x, y, heading = pose.tolist()
+    mount = _NO_MOUNT if robot_from_sensor is None else robot_from_sensor.tolist()
+    return equations(state_of((x, y, heading), middle, mount), sights).chi2 if sights else math.inf
 
 
 def _fix(
@@ -99,7 +119,7 @@ def _fix(
         log_weight=-0.5 * (at.chi2 + at.log_det) - len(sights) * math.log(math.tau),
         solver="landmark_fix",
         chi2=at.chi2,
-        chi2_each=np.array(chi2_each(state, p, at.chi2, sights)),
+        chi2_each=np.array(chi2_each(state, p, at, sights)),
         nonlinearity=nonlinearity,
     )
 
@@ -119,7 +139,11 @@ def _other_minima(state: State, at: Equations, sights: Sequence[Sight]) -> list[
 
 
 def _sights(
-    positions: FloatArray, range_bearing: FloatArray, covariance: FloatArray, positions_covariance: FloatArray | None
+    positions: FloatArray,
+    range_bearing: FloatArray,
+    covariance: FloatArray,
+    positions_covariance: FloatArray | None,
+    shared_range_m: FloatArray | None,
 ) -> tuple[complex, list[Sight]]:
     """Checked input, and the landmarks' middle; no sights where a value is not finite or a range not positive."""
     n = len(positions)
@@ -130,19 +154,22 @@ def _sights(
         )
     if positions_covariance is not None and positions_covariance.shape != (n, 2, 2):
         raise ValueError(f"positions_covariance has shape {positions_covariance.shape}, needs ({n}, 2, 2)")
+    if shared_range_m is not None and shared_range_m.shape != (n,):
+        raise ValueError(f"shared_range_m has shape {shared_range_m.shape}, needs ({n},)")
     on_map = [[[0.0, 0.0], [0.0, 0.0]]] * n if positions_covariance is None else positions_covariance.tolist()
+    together = [0.0] * n if shared_range_m is None else shared_range_m.tolist()
     there = positions.tolist()
     middle_x, middle_y = sum(x for x, _ in there) / max(n, 1), sum(y for _, y in there) / max(n, 1)
     sights = []
     total = 0.0
-    for (x, y), ((xx, xy), (_, yy)), (r, b), ((rr, rb), (_, bb)) in zip(
-        there, on_map, range_bearing.tolist(), covariance.tolist(), strict=True
+    for (x, y), ((xx, xy), (_, yy)), (r, b), ((rr, rb), (_, bb)), longer in zip(
+        there, on_map, range_bearing.tolist(), covariance.tolist(), together, strict=True
     ):
         if not (rr > 0.0 and rr * bb > rb * rb):
             raise ValueError("covariance of a range and bearing is not positive definite")
-        total += x + y + xx + xy + yy + r + b + rr + rb + bb
+        total += x + y + xx + xy + yy + r + b + rr + rb + bb + longer
         if r > 0.0:
-            sights.append(Sight(x - middle_x, y - middle_y, xx, xy, yy, r, b, rr, rb, bb))
+            sights.append(Sight(x - middle_x, y - middle_y, xx, xy, yy, r, b, rr, rb, bb, longer))
     if len(sights) < n or not math.isfinite(total):
         return 0j, []
     return complex(middle_x, middle_y), sights
