@@ -24,8 +24,8 @@ _WIDE_PITCHES = np.radians([-15.0, 0.0, 15.0, 30.0, 45.0, 60.0])
 _ANNEALED_PX = (25.0, 12.0, 6.0)  # noise that is allowed for, from iteration to iteration, of all starts
 _FINE_PX = (3.0, 1.0, 0.3, 0.3)  # and then of the best of them
 _MOST = 60
-_LOOSEST = 4.0  # times
-_MARGIN = 12.0  # so much worse than the best is none: about one line that has to be left out
+_LOOSEST = 4.0  # times; the starts at the prior's own mean keep to it, which lines that are none would pull from it
+_MARGIN = 26.0  # so much worse than the best is none: about two lines that have to be left out
 _CIRCLE_RAD = np.radians(2.0)  # how well an ellipse shows how the camera is turned
 _SAME_RAD = np.radians(1.2)
 _GATE = 25.0  # chi2 up to which a line counts for an attitude
@@ -71,8 +71,9 @@ class _Planes:
         return np.asarray(per_px2 * (self.noise_px2 + widen_px**2) + 1e-12)
 
 
-def attitudes(sight: Sight, prior: CameraPrior, most: int = 3) -> Attitudes:
-    means, sigmas = _starts(sight, prior)
+def attitudes(sight: Sight, prior: CameraPrior, most: int = 4) -> Attitudes:
+    circles = _of_circle(sight)
+    means, sigmas = _starts(prior, circles)
     angles = np.zeros((len(_HEADINGS) * len(means), 3))
     angles[:, 0] = np.tile(_HEADINGS, len(means))
     angles[:, 1:] = np.repeat(means, len(_HEADINGS), axis=0)
@@ -82,13 +83,21 @@ def attitudes(sight: Sight, prior: CameraPrior, most: int = 3) -> Attitudes:
     noise = sight.post_noise.diagonal(axis1=1, axis2=2).reshape(-1, 2).mean(axis=1)
     posts = _Planes.of(edges, noise, sight.focal_px)
     target = angles[:, 1:].copy()
+    loose = np.where((target == prior.mean[1:]).all(axis=1), 1.0, _LOOSEST)[:, None]
+
+    def fit(widen_px: float) -> tuple[FloatArray, FloatArray]:
+        # while much noise is allowed for the prior is to weigh little more than it will against the lines in the end
+        looser = pull * np.clip(widen_px / _FINE_PX[-1], 1.0, loose)
+        return _fit(angles, target, looser, sight, lines, posts, widen_px)
+
     for widen_px in _ANNEALED_PX:
-        angles, scores = _fit(angles, target, pull, sight, lines, posts, widen_px)
+        angles, scores = fit(widen_px)
     best = np.argsort(-scores, kind="stable")[:_MOST]
-    angles, target, pull = angles[best], target[best], pull[best]
+    angles, target, pull, loose = angles[best], target[best], pull[best], loose[best]
     for widen_px in _FINE_PX:
-        angles, _ = _fit(angles, target, pull, sight, lines, posts, widen_px)
-    _, scores = _fit(angles, target, pull, sight, lines, posts, _FINE_PX[-1])
+        angles, _ = fit(widen_px)
+    _, scores = fit(_FINE_PX[-1])
+    scores = scores + _likely(angles[:, 1:], target, pull, prior, circles)
     angles[:, 0] = (angles[:, 0] + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
     order = np.argsort(-scores, kind="stable")
     kept: list[int] = []
@@ -102,7 +111,7 @@ def attitudes(sight: Sight, prior: CameraPrior, most: int = 3) -> Attitudes:
     return Attitudes(angles[kept], scores[kept])
 
 
-def _starts(sight: Sight, prior: CameraPrior) -> tuple[FloatArray, FloatArray]:
+def _starts(prior: CameraPrior, circles: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Pitches and rolls (s, 2) to start from, with the standard deviations (s, 2) of what holds them there."""
     mean, sigma = prior.mean[1:], prior.sigmas[1:]
     if sigma[0] < np.radians(8.0):
@@ -110,13 +119,27 @@ def _starts(sight: Sight, prior: CameraPrior) -> tuple[FloatArray, FloatArray]:
     else:
         means = [np.array([pitch, mean[1]]) for pitch in _WIDE_PITCHES]
     sigmas = [sigma] * len(means)
-    for tilt in _of_circle(sight):
+    for tilt in circles:
         off = (tilt - mean) / np.hypot(sigma, _CIRCLE_RAD)
         if np.abs(off).max() < 3.5:
             weight = _CIRCLE_RAD**-2 + sigma**-2
             means.append((tilt * _CIRCLE_RAD**-2 + mean * sigma**-2) / weight)
             sigmas.append(weight**-0.5)
     return np.array(means), np.array(sigmas)
+
+
+def _likely(
+    tilts: FloatArray, target: FloatArray, pull: FloatArray, prior: CameraPrior, circles: list[FloatArray]
+) -> FloatArray:
+    """(k,) log density of tilts (k, 2) under what is known of them and what a circle shows, in place of that under the
+    targets that spread their starts."""
+    started = (tilts - target) / pull
+    off = (tilts - prior.mean[1:]) / prior.sigmas[1:]
+    out = 0.5 * (started * started).sum(axis=1) - 0.5 * (off * off).sum(axis=1)
+    if circles:
+        away = (tilts[:, None] - np.array(circles)) / _CIRCLE_RAD
+        out = out + np.maximum(0.5 * _GATE - 0.5 * (away * away).sum(axis=2).min(axis=1), 0.0)
+    return np.asarray(out)
 
 
 def _fit(
@@ -133,8 +156,6 @@ def _fit(
     states = np.zeros((count, 6))
     states[:, 2], states[:, 4:] = angles[:, 0], angles[:, 1:]
     rotation, axes = rotations(states), turn_axes(states)
-    # while much noise is allowed for the prior is to weigh little more than it will against the lines in the end
-    pull = pull * np.clip(widen_px / _FINE_PX[-1], 1.0, _LOOSEST)
     off = (angles[:, 1:] - target) / pull
     information, gradient = np.zeros((count, 3, 3)), np.zeros((count, 3))
     information[:, 0, 0] = 1e-3
