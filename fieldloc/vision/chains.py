@@ -21,23 +21,24 @@ def link(runs: Runs) -> NDArray[np.intp]:
     after, before = np.full(count, -1), np.full(count, -1)
     # One sorted key for (scan line, place): neighbours in another scan line are found by bisection for all at once.
     stride = 1e6
-    order = np.lexsort((runs.middle_px, runs.scan))
-    keys = (runs.scan * stride + runs.middle_px)[order]
-    width = runs.last_px - runs.first_px
+    middle, width = runs.middle_px, runs.last_px - runs.first_px
+    spot = runs.scan * stride + middle
+    order = np.argsort(spot, kind="stable")
+    keys = spot[order]
     for skip in range(1, _SKIPPED + 1):
-        wanted = runs.scan * stride + skip * stride + runs.middle_px
+        wanted = spot + skip * stride
         place = np.searchsorted(keys, wanted)
-        near = order[np.clip(place[:, None] + [-1, 0], 0, count - 1)]
-        away = np.abs(runs.middle_px[near] - runs.middle_px[:, None]) + stride * (
-            runs.scan[near] != runs.scan[:, None] + skip
-        )
-        best = near[np.arange(count), away.argmin(axis=1)]
+        upper = np.minimum(place, count - 1)
+        lower = np.maximum(place, 1) - 1
+        nearer = np.abs(keys[lower] - wanted) <= np.abs(keys[upper] - wanted)
+        best = order[np.where(nearer, lower, upper)]
+        away = np.abs(spot[best] - wanted)
         ratio = width[best] / width
-        fits = (away.min(axis=1) <= _STEEPEST * SCAN_STEP_PX * skip) & (ratio < _WIDTHS) & (ratio > 1.0 / _WIDTHS)
+        fits = (away <= _STEEPEST * SCAN_STEP_PX * skip) & (ratio < _WIDTHS) & (ratio > 1.0 / _WIDTHS)
         fits &= (after < 0) & (before[best] < 0)
         # Of several that want the same successor the nearest has it.
         wanting = np.flatnonzero(fits)
-        wanting = wanting[np.argsort(-away.min(axis=1)[wanting], kind="stable")]
+        wanting = wanting[np.argsort(-away[wanting], kind="stable")]
         before[best[wanting]] = wanting
         held = before[best[wanting]] == wanting
         after[wanting[held]] = best[wanting[held]]
@@ -47,7 +48,7 @@ def link(runs: Runs) -> NDArray[np.intp]:
 def _roots(before: NDArray[np.intp]) -> NDArray[np.intp]:
     """The first run of every run's chain, by doubling the steps back."""
     root = np.where(before < 0, np.arange(len(before)), before)
-    while (further := root[root]).tolist() != root.tolist():
+    while not np.array_equal(further := root[root], root):
         root = further
     return root
 

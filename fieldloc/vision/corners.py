@@ -21,23 +21,28 @@ def find_corners(lines: tuple[SeenLine, ...], plane: Plane) -> tuple[SeenCorner,
     along = along / length[:, None]
     normals = np.stack([-along[:, 1], along[:, 0]], axis=1)
     width = np.stack([line.width_px for line in lines])
+    pairs = np.stack(np.triu_indices(len(lines), 1), axis=1)
+    first, second = normals[pairs[:, 0]], normals[pairs[:, 1]]
+    turned = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    kept = np.abs(turned) >= _LEAST_RAD
+    pairs, first, second, turned = pairs[kept], first[kept], second[kept], turned[kept]
+    # Where n . x = n . (an end) of both lines.
+    value = (normals * ends[:, 0]).sum(axis=1)[pairs]
+    u = value[:, 0] * second[:, 1] - value[:, 1] * first[:, 1]
+    v = value[:, 1] * first[:, 0] - value[:, 0] * second[:, 0]
+    points = np.stack([u, v], axis=1) / turned[:, None]
+    place = ((points[:, None] - ends[pairs, 0]) * along[pairs]).sum(axis=2)
+    far = place > 0.5 * length[pairs]
+    inside = np.where(far, length[pairs] - place, place)  # from the nearer end on
+    near = width[pairs, far.astype(np.intp)]
+    meet = (inside > -(_REACH_PX + 2.0 * near)).all(axis=1) & np.isfinite(points).all(axis=1)
+    ending = np.count_nonzero(inside < _WITHIN * np.maximum(near, near[:, ::-1]) + 0.5 * _REACH_PX, axis=1)
     corners = []
-    for one, other in zip(*np.triu_indices(len(lines), 1), strict=True):
-        rows = np.array([one, other])
-        if abs(along[one] @ normals[other]) < _LEAST_RAD:
-            continue
-        point = np.linalg.solve(normals[rows], (normals[rows] * ends[rows, 0]).sum(axis=1))
-        place = ((point - ends[rows, 0]) * along[rows]).sum(axis=1)
-        far = place > 0.5 * length[rows]
-        inside = np.where(far, length[rows] - place, place)  # from the nearer end on
-        near = width[rows, far.astype(np.intp)]
-        if not ((inside > -(_REACH_PX + 2.0 * near)).all() and np.isfinite(point).all()):
-            continue
-        ending = inside < _WITHIN * np.maximum(near, near[::-1]) + 0.5 * _REACH_PX
-        kind = "XTL"[int(ending.sum())]
-        share = place / length[rows]
-        pixel, covariance = _in_picture(point, share, [lines[one], lines[other]], normals[rows], plane)
-        corners.append(SeenCorner(pixel, covariance, kind, (int(one), int(other))))
+    for row in np.flatnonzero(meet):
+        one, other = pairs[row].tolist()
+        share = place[row] / length[pairs[row]]
+        seen = _in_picture(points[row], share, [lines[one], lines[other]], normals[pairs[row]], plane)
+        corners.append(SeenCorner(*seen, "XTL"[ending[row]], (one, other)))
     return tuple(corners)
 
 

@@ -53,7 +53,7 @@ def detect(
     else:
         pieces = edge_pairs(grey, turf, found[0] if found and circle else None, plane, settings)
     lines = fit_lines(grey, merged(pieces), plane, turf, settings)
-    lines = sort_out(lines, circle, posts, grey, turf)
+    lines = sort_out(lines, circle, posts, grey, turf, settings)
     return Detections(
         width,
         height,

@@ -26,6 +26,7 @@ _LEAST_SHARE = 0.55  # of the profiles between a line's ends that are not on som
 _LEAST_SMOOTH, _SMOOTH_PX = 0.3, 0.3  # of a line whose middles are hardly rough: what is so straight is worn or pale
 _LEAST_SEEN = 0.25  # of all between
 _OUTLIER = 3.5  # robust standard deviations from the line
+_LEAST_TYPICAL_PX = np.array([[0.05], [0.1]])  # of middles and of widths
 _FLOOR_PX = 0.02  # of a middle: what pixels, their interpolation and JPEG err by, however long the line
 _ROUGHEST_PX = 1.0  # standard deviation of the middles about the line, or a share of the width
 _ROUGHEST_SHARE = 0.12
@@ -46,23 +47,22 @@ class Middles:
     bare: Mask
 
     def line(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The straight lines through (n, m) values over places: middle of the places, value there, slope; (n,) each."""
-        count = np.maximum(self.used.sum(axis=1), 1)
-        middle = np.where(self.used, self.place, 0.0).sum(axis=1) / count
-        mean = np.where(self.used, values, 0.0).sum(axis=1) / count
-        away = np.where(self.used, self.place - middle[:, None], 0.0)
-        spread = (away * away).sum(axis=1)
-        slope = (away * np.where(self.used, values, 0.0)).sum(axis=1) / np.maximum(spread, 1e-9)
-        return middle, mean, slope
+        """The straight lines through (..., n, m) values over places: middle of the places (n,), value there, slope;
+        (..., n) each."""
+        count = np.maximum(np.count_nonzero(self.used, axis=1), 1)
+        middle = (self.place * self.used).sum(axis=1) / count
+        away = (self.place - middle[:, None]) * self.used
+        slope = (away * values).sum(axis=-1) / np.maximum((away * away).sum(axis=1), 1e-9)
+        return middle, (values * self.used).sum(axis=-1) / count, slope
 
     def on_line(self, values: FloatArray, wanted: FloatArray) -> FloatArray:
         """Those lines at the places wanted (n, k)."""
         middle, mean, slope = self.line(values)
-        return np.asarray(mean[:, None] + slope[:, None] * (wanted - middle[:, None]))
+        return np.asarray(mean[..., None] + slope[..., None] * (wanted - middle[:, None]))
 
     def rest(self, values: FloatArray) -> FloatArray:
-        """(n, m) what is left of the values, 0 where not used."""
-        return np.where(self.used, values - self.on_line(values, self.place), 0.0)
+        """(..., n, m) what is left of the values, 0 where not used."""
+        return np.asarray((values - self.on_line(values, self.place)) * self.used)
 
 
 def fit_lines(
@@ -111,15 +111,13 @@ def _middles(
 
 def _without_outliers(found: Middles) -> Middles:
     """Leaves out middles and widths that stand apart from those of the same line."""
-    good = found.used
+    good, values = found.used, np.stack([found.off, found.width])
     for _ in range(4):
-        count = found.used.sum(axis=1)
-        now = good.copy()
-        for values, least in ((found.off, 0.05), (found.width, 0.1)):
-            off = np.abs(values - found.on_line(values, found.place))
-            ranked = np.sort(np.where(found.used, off, np.inf), axis=1)
-            typical = 1.4826 * ranked[np.arange(len(count)), np.maximum(count - 1, 0) // 2]
-            now &= off < _OUTLIER * np.maximum(typical, least)[:, None]
+        count = np.count_nonzero(found.used, axis=1)
+        off = np.abs(values - found.on_line(values, found.place))
+        ranked = np.sort(np.where(found.used, off, np.inf), axis=-1)
+        typical = 1.4826 * ranked[:, np.arange(len(count)), np.maximum(count - 1, 0) // 2]
+        now = good & (off < _OUTLIER * np.maximum(typical, _LEAST_TYPICAL_PX)[..., None]).all(axis=0)
         now[count < _LEAST_USED] = False
         if (now == found.used).all():
             break

@@ -9,10 +9,12 @@ from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.profiles import measure
 from fieldloc.vision.settings import VisionSettings
 from fieldloc.vision.straight import Plane
+from fieldloc.vision.turf import Mask
 
 _SPACING_PX = 4.0  # of the points along the circle
 _FEWEST, _MOST = 24, 128  # points all around
 _BINS = 48
+_FARTHER = 2  # parts beyond those with runs that are measured, too
 _OUTLIER = 3.5  # robust standard deviations from the ellipse
 _LEAST_OUTLIER_PX = 0.7  # the middle between a circle's edges in perspective is not quite an ellipse
 _FLOOR_PX = 0.03  # of a point: what interpolation between pixels errs by
@@ -33,9 +35,10 @@ def trace(
         turns = _evenly(centre, axes, spacing_px)
         points, normals = on_rim(centre, axes, turns)
         part = np.rint(turns * _BINS).astype(np.intp) % _BINS
-        widths = _widths(centre, axes, on)[part]
-        seen = np.isfinite(widths)
-        points, normals, widths = points[seen], normals[seen], widths[seen]
+        there, widths = _widths(centre, axes, on)
+        seen = np.isfinite(widths[part])
+        points, normals, part = points[seen], normals[seen], part[seen]
+        widths = widths[part]
         widths = widths * np.abs(normals).max(axis=1)
         pixels, across, zoom = plane.normals_in_picture(points, normals)
         found = measure(grey, pixels, across, widths * zoom)
@@ -50,7 +53,7 @@ def trace(
             off = ellipse.distance(np.where(np.isfinite(middles), middles, 1e9))
             spread = 1.4826 * float(np.sort(np.abs(off[good]))[np.count_nonzero(good) // 2])
             good &= np.abs(off) < max(_OUTLIER * spread, _LEAST_OUTLIER_PX)
-        if np.count_nonzero(good) < max(_FEWEST // 2, _LEAST_SHARE * len(good)):
+        if np.count_nonzero(good & there[part]) < max(_FEWEST // 2, _LEAST_SHARE * np.count_nonzero(there[part])):
             return None
     # Measured to a fraction of a pixel, two straight lines that run along an ellipse are straight.
     table = np.column_stack([middles, np.zeros(len(middles))])[good]
@@ -75,12 +78,18 @@ def _evenly(centre: FloatArray, axes: FloatArray, spacing_px: float) -> FloatArr
     return np.asarray(np.interp(np.arange(count) * path[-1] / count, path, fine))
 
 
-def _widths(centre: FloatArray, axes: FloatArray, on: FloatArray) -> FloatArray:
-    """Per part of the ellipse's angle the mean width of the runs there, NaN without any."""
+def _widths(centre: FloatArray, axes: FloatArray, on: FloatArray) -> tuple[Mask, FloatArray]:
+    """Per part of the ellipse's angle whether there are runs, and their mean width; in the parts next to those with
+    runs that of their neighbours, as the line goes on there where it crosses another; NaN elsewhere.
+    """
     part = bins_of(centre, axes, on[:, :2])
-    count = np.bincount(part, minlength=_BINS)
+    count = np.bincount(part, minlength=_BINS).astype(np.float64)
     total = np.bincount(part, weights=on[:, 2], minlength=_BINS)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    there = count > 0
+    for _ in range(_FARTHER):
+        beside = [np.roll(values, 1) + np.roll(values, -1) for values in (total, count)]
+        total, count = (np.where(count > 0, old, new) for old, new in zip((total, count), beside, strict=True))
+    return there, np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
 
 
 def _local(square: FloatArray) -> FloatArray:

@@ -31,7 +31,7 @@ class Segments:
 
 def straight_pieces(chains: list[FloatArray], least_length_px: float) -> Segments:
     """The straight pieces of chains (m, 3: a point in the plane and the width along the scan line there)."""
-    ends, widths = [], []
+    straight, widths = [], []
     todo = list(chains)
     while todo:
         chain = todo.pop()
@@ -51,24 +51,38 @@ def straight_pieces(chains: list[FloatArray], least_length_px: float) -> Segment
             max(off.max() - mean, mean - off.min()) <= 2.0 * slack
             and off @ off / len(off) - mean * mean <= (0.4 * slack) ** 2
         ):
-            ends.append(_fitted(chain[:, :2]))
+            straight.append(chain[:, :2])
             widths.append(_tapered(chain[:, 2]) * slant)
             continue
         split = min(max(int(np.abs(off).argmax()), 1), len(chain) - 2)
         todo += [chain[: split + 1], chain[split:]]
-    return Segments(np.array(ends).reshape(-1, 2, 2), np.array(widths).reshape(-1, 2))
+    return Segments(_fitted(straight), np.array(widths).reshape(-1, 2))
 
 
-def _fitted(points: FloatArray) -> FloatArray:
-    """(2, 2): the ends of the straight line through points in order, which pays little heed to the odd one far off."""
-    weights = np.ones(len(points))
+def _fitted(pieces: list[FloatArray]) -> FloatArray:
+    """(n, 2, 2): the ends of the straight lines through the points (m, 2) of each piece, in order, which pay little
+    heed to the odd one far off.
+    """
+    if not pieces:
+        return np.zeros((0, 2, 2))
+    sizes = np.array([len(piece) for piece in pieces])
+    begins = np.cumsum(sizes) - sizes
+    points = np.concatenate(pieces).T
+    weights = np.ones(points.shape[1])
     for _ in range(2):
-        mean, along = _principal(points, weights)
-        centred = points - mean
-        off = centred[:, 1] * along[0] - centred[:, 0] * along[1]
-        typical = max(float(np.abs(off).sum()) / len(off), 0.1)
-        weights = 1.0 / (1.0 + (off / (2.0 * typical)) ** 2)
-    return np.asarray(mean + (centred[[0, -1]] @ along)[:, None] * along)
+        mean = np.add.reduceat(weights * points, begins, axis=1) / np.add.reduceat(weights, begins)
+        u, v = points - mean.repeat(sizes, axis=1)
+        weighted = weights * u
+        cross, square = np.add.reduceat(np.stack([weighted * v, weighted * u - weights * v * v]), begins, axis=1)
+        angle = 0.5 * np.arctan2(2.0 * cross, square)
+        along = np.stack([np.cos(angle), np.sin(angle)])
+        each = along.repeat(sizes, axis=1)
+        off = v * each[0] - u * each[1]
+        typical = np.maximum(np.add.reduceat(np.abs(off), begins) / sizes, 0.1)
+        weights = 1.0 / (1.0 + (off / (2.0 * typical.repeat(sizes))) ** 2)
+    outer = np.stack([begins, begins + sizes - 1])
+    place = u[outer] * along[0] + v[outer] * along[1]
+    return np.asarray((mean[:, None] + place * along[:, None]).T)
 
 
 def _principal(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:

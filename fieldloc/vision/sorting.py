@@ -10,6 +10,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import SeenCircle, SeenLine, SeenPost
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.profiles import measure
+from fieldloc.vision.settings import VisionSettings
 from fieldloc.vision.turf import Mask, Turf
 
 _COVERED = 0.7  # share of a piece within wider or longer ones
@@ -30,24 +31,26 @@ def sort_out(
     posts: tuple[SeenPost, ...],
     grey: UInt8Array,
     turf: Turf,
+    settings: VisionSettings,
 ) -> tuple[SeenLine, ...]:
     """The lines that are left."""
     if not lines:
         return lines
     ends = np.stack([line.ends_px for line in lines])
     width = np.stack([line.width_px for line in lines])
-    upright, free, blocked = _beyond(ends, width, grey, turf)
+    upright, free, blocked = _beyond(ends, width, grey, turf, settings)
     upright |= _on_posts(ends, posts)
     sigma = np.stack([line.width_sigma_px for line in lines])
     good = ~_covered(ends, width) & ~upright & _tapers_as_turf(ends, width, sigma, turf, grey.shape[0])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     short = length < np.minimum(_MARK_WIDTHS * width.mean(axis=1), _MARK_LENGTH * grey.shape[1])
-    lonely = ~_near_others(ends, width, good & ~short, circle).any(axis=1)
+    others, at_circle = _near_others(ends, width, circle)
+    lonely = ~(others[:, :, good & ~short].any(axis=2) | at_circle).any(axis=1)
     mark = short & free.all(axis=1) & lonely
     at_border = _at_border(ends, width, grey)
     stub = lonely & (length < _STUB_WIDTHS * width.max(axis=1)) & ~at_border.any(axis=1)
     # A wide line that ends at another, or at the picture's border, ends at something white, too.
-    blocked &= ~at_border & ~_near_others(ends, width, good, circle)
+    blocked &= ~at_border & ~others[:, :, good].any(axis=2) & ~at_circle
     limb = stub | (length < _LIMB_WIDTHS * width.mean(axis=1)) & blocked.any(axis=1)
     return tuple(line for line, keep in zip(lines, good & ~mark & ~limb, strict=True) if keep)
 
@@ -108,7 +111,9 @@ def _tapers_as_turf(ends: FloatArray, width: FloatArray, sigma: FloatArray, turf
     return np.asarray((np.abs(grows) < most + _TAPER + 3.0 * noise) & ~upright)
 
 
-def _beyond(ends: FloatArray, width: FloatArray, grey: UInt8Array, turf: Turf) -> tuple[Mask, Mask, Mask]:
+def _beyond(
+    ends: FloatArray, width: FloatArray, grey: UInt8Array, turf: Turf, settings: VisionSettings
+) -> tuple[Mask, Mask, Mask]:
     """(n,) which go on beyond an end as something upright does; (n, 2) which ends are followed by turf, and which by
     something else that is in the picture.
     """
@@ -120,7 +125,8 @@ def _beyond(ends: FloatArray, width: FloatArray, grey: UInt8Array, turf: Turf) -
     normals = np.stack([-outward[..., 1], outward[..., 0]], axis=-1)[:, :, None] + np.zeros_like(points)
     wide = np.broadcast_to(width[:, :, None], points.shape[:3])
     profiles = measure(grey, points.reshape(-1, 2), normals.reshape(-1, 2), wide.ravel())
-    on = (profiles.good & (np.abs(profiles.middle_px) < 0.3 * wide.ravel() + 1.0)).reshape(wide.shape)
+    on = profiles.good & (profiles.step > 0.6 * settings.least_contrast)
+    on = (on & (np.abs(profiles.middle_px) < 0.3 * wide.ravel() + 1.0)).reshape(wide.shape)
     aside = (0.5 * wide + 3.0)[..., None] * normals
     beside = turf.at(points + aside) | turf.at(points - aside)
     upright = (np.count_nonzero(on & ~beside, axis=2) >= _UPRIGHT).any(axis=1) & (np.abs(along[:, 1]) > _STEEP)
@@ -131,19 +137,18 @@ def _beyond(ends: FloatArray, width: FloatArray, grey: UInt8Array, turf: Turf) -
     return upright, free, blocked
 
 
-def _near_others(ends: FloatArray, width: FloatArray, others: Mask, circle: SeenCircle | None) -> Mask:
-    """(n, 2) which ends are at a line that goes another way, or at the circle."""
-    reach = 1.5 * width.max(axis=1, keepdims=True) + 6.0
-    near = np.zeros(width.shape, dtype=np.bool_)
+def _near_others(ends: FloatArray, width: FloatArray, circle: SeenCircle | None) -> tuple[Mask, Mask]:
+    """(n, 2, n) which ends are at which line that goes another way; (n, 2) which are at the circle."""
+    reach = 1.5 * width.max(axis=1) + 6.0
     along = ends[:, 1] - ends[:, 0]
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    for row in np.flatnonzero(others):
-        step = ends[row, 1] - ends[row, 0]
-        share = np.clip((ends - ends[row, 0]) @ step / (step @ step), 0.0, 1.0)
-        distance = np.linalg.norm(ends[row, 0] + share[..., None] * step - ends, axis=-1)
-        turned = np.abs(along[:, 0] * along[row, 1] - along[:, 1] * along[row, 0]) > _TURNED
-        near |= (distance < reach) & turned[:, None]
-    if circle is not None:
-        away = np.linalg.norm(ends[:, :, None] - circle.points_px, axis=-1).min(axis=2)
-        near |= away < reach
-    return near
+    square = (along * along).sum(axis=1)
+    relative = ends[:, :, None] - ends[:, 0]
+    share = np.minimum(np.maximum((relative * along).sum(axis=-1) / square, 0.0), 1.0)
+    off = relative - share[..., None] * along
+    turned = np.abs(along[:, None, 0] * along[:, 1] - along[:, None, 1] * along[:, 0])
+    turned = turned > _TURNED * np.sqrt(square[:, None] * square)
+    near = ((off * off).sum(axis=-1) < (reach * reach)[:, None, None]) & turned[:, None]
+    if circle is None:
+        return near, np.zeros(width.shape, dtype=np.bool_)
+    away = np.linalg.norm(ends[:, :, None] - circle.points_px, axis=-1).min(axis=2)
+    return near, away < reach[:, None]

@@ -78,8 +78,8 @@ def find_turf(picture: UInt8Array) -> Turf:
     border = (border + 0.5) * coarser - 0.5
     # The hull's ends reach to the picture's sides, level, so that the border is told for every column.
     border = np.concatenate([[[-0.5, border[0, 1]]], border, [[size[0] - 0.5, border[-1, 1]]]])
-    rows = np.arange(size[1])[:, None]
-    mask = (coloured > 0) & (rows >= np.interp(np.arange(size[0]), border[:, 0], border[:, 1]))
+    first = np.ceil(np.interp(np.arange(size[0]), border[:, 0], border[:, 1])).astype(np.int16)
+    mask = (coloured > 0) & (np.arange(size[1], dtype=np.int16)[:, None] >= first)
     colour = np.asarray(cv2.mean(small, mask.view(np.uint8))[:3])
     return Turf(mask, scale, (border + 0.5) * scale - 0.5, colour)
 
@@ -102,10 +102,15 @@ def _coloured(small: UInt8Array) -> UInt8Array:
     # Turf is about as saturated everywhere; what has its hue by chance, as grey walls in green light, is much paler.
     # Hue and saturation of what is nearly black are noise, so there must be some of the colour itself, too.
     turf = (hue >= least) & (hue <= most)
-    paler = max(_SATURATION, _SHARE_OF_SATURATION * float(np.median(saturation[turf])))
-    darker = max(_CHROMA, _SHARE_OF_CHROMA * float(np.median(vivid[turf])))
+    paler = max(_SATURATION, _SHARE_OF_SATURATION * _median(saturation[turf]))
+    darker = max(_CHROMA, _SHARE_OF_CHROMA * _median(vivid[turf]))
     coloured = cv2.inRange(hsv, (least, paler, 0), (most, 255, 255))
     return np.asarray(cv2.bitwise_and(coloured, cv2.inRange(chroma, darker, 255)), dtype=np.uint8)
+
+
+def _median(values: UInt8Array) -> float:
+    middle = len(values) // 2
+    return float(np.partition(values, middle)[middle])
 
 
 def _dense(coloured: UInt8Array) -> Mask:

@@ -25,6 +25,7 @@ _LEAST_SHARE = 0.25  # of the near window in turf, for it to count
 _CLIP = 1.5  # what is farther from the mean than so many standard deviations is no turf
 _CLIPPED = 1.35  # a normal distribution's standard deviation to that of its part within _CLIP
 _BEYOND_PX = np.array([1.5, 3.5, 6.0])
+_ASIDE = np.array([-1, 0, 1])[:, None, None, None]
 _COLOUR_STEP = 0.8  # of blue and red to that of green: about 0.5 from shade to sun, above 1 from turf to white
 
 
@@ -72,8 +73,8 @@ def find_runs(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> tupl
     above = max(0, int(turf.boundary_px[:, 1].min() / turf.scale[1]) - 2)
     top = round(above * turf.scale[1])
     below = picture[top:]
-    level = _turf_level(below, turf, turf.mask[above:], settings)
     grey = grey_of(below, turf)
+    level = _turf_level(grey, turf.mask[above:], settings)
     down = np.ascontiguousarray(_reduced(grey, max(1, width // SCAN_STEP_PX), height - top).T)
     across = _reduced(grey, width, max(1, (height - top) // SCAN_STEP_PX))
     widest_px = settings.widest * height
@@ -86,58 +87,66 @@ def _reduced(picture: UInt8Array, width: int, height: int) -> UInt8Array:
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _turf_level(picture: UInt8Array, turf: Turf, turf_mask: Mask, settings: VisionSettings) -> Single:
+def _turf_level(grey: UInt8Array, turf_mask: Mask, settings: VisionSettings) -> UInt8Array:
     """On a grid twice as coarse as the turf's mask: what has to be exceeded to be no turf, from the turf around."""
-    size = turf_mask.shape[1], turf_mask.shape[0]
-    grey = grey_of(_reduced(picture, *size), turf).astype(np.float32)
-    mask = turf_mask.astype(np.float32)
-    wide, near = max(3, size[0] // _WIDE_SHARE // 2), max(3, size[0] // _NEAR_SHARE // 2)
+    width = turf_mask.shape[1]
+    grey = _reduced(grey, width, turf_mask.shape[0])
+    mask = turf_mask.view(np.uint8) * np.uint8(255)
+    wide, near = max(3, width // _WIDE_SHARE // 2), max(3, width // _NEAR_SHARE // 2)
     far_mean, far_spread, _ = _around(grey, mask, wide)
-    mask = _unlike(grey, mask, far_mean, far_spread)
+    mask = _like(grey, mask, far_mean, far_spread)
     # Once more without what stands out from the turf close by: lines as pale as turf, which are in the mask.
     mean, spread, share = _around(grey, mask, near)
-    mask = _unlike(grey, mask, mean, spread)
+    mask = _like(grey, mask, mean, spread)
     mean, spread, share = _around(grey, mask, near)
     # Beside something wide there is none close by.
     few = share < _LEAST_SHARE
     mean, spread = np.where(few, far_mean, mean), np.where(few, far_spread, spread)
-    return np.asarray(mean + np.maximum(_SIGMAS * _CLIPPED * spread, settings.least_contrast), dtype=np.float32)
+    level = mean + np.maximum(np.float32(_SIGMAS * _CLIPPED) * spread, settings.least_contrast)
+    return np.asarray(cv2.convertScaleAbs(level), dtype=np.uint8)
 
 
-def _around(grey: Single, mask: Single, window: int) -> tuple[Single, Single, Single]:
+def _around(grey: UInt8Array, mask: UInt8Array, window: int) -> tuple[Single, Single, Single]:
     """Mean and standard deviation of what is in the mask in a window around each pixel, and the mask's share of it.
 
     255 and 0 where that is nothing: no pixel exceeds it. On a grid twice as coarse.
     """
     size = max(1, grey.shape[1] // 2), max(1, grey.shape[0] // 2)
-    masked = grey * mask
+    masked = cv2.bitwise_and(grey, mask)
     share, mean, square = (
         np.asarray(
-            cv2.boxFilter(cv2.resize(part, size, interpolation=cv2.INTER_AREA), -1, (window, window)), np.float32
+            cv2.boxFilter(cv2.resize(part, size, interpolation=cv2.INTER_AREA), cv2.CV_32F, (window, window)),
+            np.float32,
         )
-        for part in (mask, masked, grey * masked)
+        for part in (mask, masked, np.multiply(masked, masked, dtype=np.uint16))
     )
+    share *= np.float32(1.0 / 255.0)
     count = share + np.float32(1e-3)
-    mean = mean / count
-    spread = np.sqrt(np.maximum(square / count - mean * mean, np.float32(0.0)))
-    return np.where(share < 0.01, np.float32(255.0), mean).astype(np.float32), spread, share
+    mean /= count
+    square /= count
+    square -= mean * mean
+    spread = np.sqrt(np.maximum(square, np.float32(0.0), out=square), out=square)
+    mean[share < 0.01] = 255.0
+    return mean, spread, share
 
 
-def _unlike(grey: Single, mask: Single, mean: Single, spread: Single) -> Single:
+def _like(grey: UInt8Array, mask: UInt8Array, mean: Single, spread: Single) -> UInt8Array:
     """The mask without pixels that are farther from the mean around than turf is."""
     size = grey.shape[1], grey.shape[0]
-    around, limit = cv2.resize(mean, size), cv2.resize(np.float32(_CLIP) * spread, size)
-    return np.asarray(mask * (np.abs(grey - around) < limit), dtype=np.float32)
+    around = cv2.resize(cv2.convertScaleAbs(mean), size)
+    limit = cv2.resize(cv2.convertScaleAbs(spread, alpha=_CLIP, beta=-0.5), size)  # down: whole numbers below it
+    near = cv2.compare(cv2.absdiff(grey, around), limit, cv2.CMP_LE)
+    return np.asarray(cv2.bitwise_and(near, mask), dtype=np.uint8)
 
 
-def _runs(grey: UInt8Array, level: Single, extent_px: int, widest_px: float) -> Runs:
+def _runs(grey: UInt8Array, level: UInt8Array, extent_px: int, widest_px: float) -> Runs:
     """grey: (n, length) a scan line per row. level: `_turf_level`, a scan line per row. extent_px: of all of them."""
     count, length = grey.shape
     grey = np.asarray(cv2.GaussianBlur(grey, (3, 1), 0), dtype=np.uint8)
-    bar = np.asarray(cv2.resize(level, (length, count), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
-    white = cv2.morphologyEx((grey > bar).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((1, 3), dtype=np.uint8))
+    bar = np.asarray(cv2.resize(level, (length, count), interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
     apart = np.zeros((count, length + 1), dtype=np.uint8)  # so that no run goes on in the next row
-    apart[:, :-1] = white
+    white = cv2.compare(grey, bar, cv2.CMP_GT)
+    apart[:, :-1] = cv2.morphologyEx(white, cv2.MORPH_CLOSE, np.ones((1, 3), dtype=np.uint8))
     flat = apart.ravel()
     changes = np.flatnonzero(flat[1:] != flat[:-1]) + 1
     if flat[0]:
@@ -154,16 +163,16 @@ def _runs(grey: UInt8Array, level: Single, extent_px: int, widest_px: float) -> 
 
 def _white_on_turf(runs: Runs, picture: UInt8Array, turf: Turf, down: bool) -> Runs:
     """Those with turf on either side that are white beside it."""
-    width = runs.last_px - runs.first_px
-    kept = np.ones(len(width), dtype=np.bool_)
-    beside = np.zeros((len(width), 3))
-    for border, sign in ((runs.first_px, -1.0), (runs.last_px, 1.0)):
-        # A thin line's halo in the compressed colours reaches some pixels.
-        kept &= turf.at(_points(runs, border + sign * (_BEYOND_PX[:, None] + 0.15 * width), down)).any(axis=0)
-        beside += 0.5 * _colours(picture, _points(runs, border + sign * (2.0 + 0.15 * width), down), down)
-    step = _colours(picture, _points(runs, runs.middle_px, down), down) - beside
+    aside = 0.15 * (runs.last_px - runs.first_px)
+    # A thin line's halo in the compressed colours reaches some pixels.
+    away = _BEYOND_PX[:, None] + aside
+    places = np.stack([runs.first_px - away, runs.last_px + away])
+    kept = turf.at(_points(runs, places, down)).any(axis=1).all(axis=0)
+    places = np.stack([runs.first_px - 2.0 - aside, runs.last_px + 2.0 + aside, runs.middle_px])
+    before, after, white = _colours(picture, _points(runs, places, down), down)
+    step = white - 0.5 * (before + after)
     kept &= step @ weights_of(turf.colour) > _COLOUR_STEP * step[:, 1]
-    kept &= step.min(axis=1) > 0.5 * _COLOUR_STEP * step[:, 1]
+    kept &= np.minimum(np.minimum(step[:, 0], step[:, 1]), step[:, 2]) > 0.5 * _COLOUR_STEP * step[:, 1]
     return Runs(runs.scan[kept], runs.at_px[kept], runs.first_px[kept], runs.last_px[kept])
 
 
@@ -175,20 +184,17 @@ def _points(runs: Runs, along_px: FloatArray, down: bool) -> FloatArray:
 
 
 def _colours(picture: UInt8Array, points: FloatArray, down: bool) -> FloatArray:
-    """(n, 3) of the pixels at points (n, 2), with their neighbours across the scan line."""
-    pixels = np.rint(points).astype(np.intp)
-    total = np.zeros((len(points), 3))
-    for aside in (-1, 0, 1):
-        column = np.clip(pixels[:, 0] + (aside if down else 0), 0, picture.shape[1] - 1)
-        row = np.clip(pixels[:, 1] + (0 if down else aside), 0, picture.shape[0] - 1)
-        total += picture[row, column]
-    return total / 3.0
+    """(..., 3) of the pixels at points (..., 2), with their neighbours across the scan line."""
+    pixels = np.rint(points).astype(np.intp) + np.array([[[1, 0]] if down else [[0, 1]]]) * _ASIDE
+    column = np.minimum(np.maximum(pixels[..., 0], 0), picture.shape[1] - 1)
+    row = np.minimum(np.maximum(pixels[..., 1], 0), picture.shape[0] - 1)
+    return np.asarray(picture[row, column].sum(axis=0, dtype=np.int32) / 3.0)
 
 
 def _beyond(
-    grey: UInt8Array, bar: Single, scan: NDArray[np.intp], inner: NDArray[np.intp], outer: NDArray[np.intp]
+    grey: UInt8Array, bar: UInt8Array, scan: NDArray[np.intp], inner: NDArray[np.intp], outer: NDArray[np.intp]
 ) -> FloatArray:
     """How far from the last pixel of a run (inner) to the next (outer) its border is, 0 to 1."""
-    above = grey[scan, inner] - bar[scan, inner].astype(np.float64)
+    above = grey[scan, inner].astype(np.float64) - bar[scan, inner]
     below = bar[scan, outer].astype(np.float64) - grey[scan, outer]
-    return np.clip(above / np.maximum(above + below, 1e-6), 0.0, 1.0)
+    return np.minimum(np.maximum(above / np.maximum(above + below, 1e-6), 0.0), 1.0)
