@@ -54,8 +54,9 @@ def find_uprights(picture: UInt8Array, turf: Turf, colours: FieldColours) -> lis
     unsure = [one for one in found if one.score > _LEAST_UNSURE and one not in sure]
     if not sure:
         return apart(alike(unsure))[:_FEW]
+    sure = apart(alike(sure))
     mates = [one for one in unsure if any(is_mate(one, other) for other in sure)]
-    return apart(alike(sure) + alike(mates))[:_MOST]
+    return apart(sure + [one for one in alike(sure + mates) if one not in sure])[:_MOST]
 
 
 def _seen(picture: UInt8Array, upright: Upright, edges: FittedEdges, turf: Turf, plane: Plane) -> SeenPost | None:

@@ -14,7 +14,8 @@ _WIDEST = 0.12  # of the picture's width: a post at arm's length
 _STEEPER = 0.05  # sideways per downwards, one edge than the other
 _LEAST_OVERLAP = 0.5  # of the shorter edge
 _LEAST_ROWS_PX = 8.0
-_PLACES = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # across the inside
+_PLACES = np.linspace(-1.0, 1.0, 5)  # across the inside, which begins beside the blur of its edges
+_BLUR_PX = 2.0
 _HEIGHTS = np.linspace(0.1, 0.9, 5)  # along what both edges share
 _MOST = 28  # pairs go on, the clearest first
 
@@ -50,12 +51,12 @@ class Strips:
 
 def pairs_of(begins: Edges, ends: Edges, band: Band, turf: Turf, width_px: int) -> Strips:
     """Every pair that is narrow, parallel, and of one colour inside that neither side has."""
-    begins, ends = _standing(begins, turf), _standing(ends, turf)
+    reaches = _reaching(begins, turf)[:, None] | _reaching(ends, turf)
     # nearly all pairs fall out by where they are, told at the middle of the band
     level = band.top + 0.5 * float(band.scale[1]) * len(band.likeness)
     apart = (ends.lines @ (1.0, level)) - (begins.lines @ (1.0, level))[:, None]
     slack = _STEEPER * (level - band.top)
-    i, j = np.nonzero((apart > _NARROWEST_PX - slack) & (apart < _WIDEST * width_px + slack))
+    i, j = np.nonzero(reaches & (apart > _NARROWEST_PX - slack) & (apart < _WIDEST * width_px + slack))
     rows = np.stack(
         [np.maximum(begins.rows[i, 0], ends.rows[j, 0]), np.minimum(begins.rows[i, 1], ends.rows[j, 1])], axis=1
     )
@@ -73,22 +74,20 @@ def pairs_of(begins: Edges, ends: Edges, band: Band, turf: Turf, width_px: int) 
     return _uniform(strips, band) if len(i) else strips
 
 
-def _standing(edges: Edges, turf: Turf) -> Edges:
-    """Those that would come to turf if they went on down by their own length."""
-    length = edges.rows[:, 1] - edges.rows[:, 0]
-    v = edges.rows[:, 1:] + np.array([0.0, 0.25, 0.5, 1.0]) * np.maximum(length, 8.0)[:, None] + 3.0
-    u = edges.lines[:, :1] + edges.lines[:, 1:] * v
-    on_turf: Mask = np.zeros(len(length), dtype=np.bool_)
-    for aside in (-5.0, 5.0):
-        on_turf |= turf.at(np.stack([u + aside, v], axis=-1)).any(axis=1)
-    return Edges(edges.lines[on_turf], edges.rows[on_turf])
+def _reaching(edges: Edges, turf: Turf) -> Mask:
+    """(n,) which would come to the field's border if they went on down by their own length: the rest of an edge may be
+    hidden, or before a board of the post's colour."""
+    v = edges.rows[:, 1] + np.maximum(edges.rows[:, 1] - edges.rows[:, 0], 8.0) + 3.0
+    u = edges.lines[:, 0] + edges.lines[:, 1] * v
+    return np.asarray(turf.below_px(np.stack([u, v], axis=-1)) > 0.0)
 
 
 def _uniform(strips: Strips, band: Band) -> Strips:
     v = strips.rows[:, :1] + (strips.rows[:, 1:] - strips.rows[:, :1]) * _HEIGHTS
     left, right = strips.left_at(v), strips.right_at(v)
     aside = np.clip(0.3 * strips.width_px, 1.5 * band.scale[0], 6.0 * band.scale[0])[:, None]
-    inside = band.at(left[..., None] + (right - left)[..., None] * _PLACES, v[..., None])
+    half = 0.5 - np.clip(_BLUR_PX / strips.width_px, 0.2, 0.4)[:, None, None]
+    inside = band.at(left[..., None] + (right - left)[..., None] * (0.5 + half * _PLACES), v[..., None])
     sides = np.stack([band.at(left - aside, v), band.at(right + aside, v)], axis=-1)
     contrast = np.median(inside[..., [0, -1]] - sides, axis=1).min(axis=-1)
     level = np.median(inside, axis=(1, 2))

@@ -16,6 +16,7 @@ from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.posts_bars import bars_of
 from fieldloc.vision.posts_colour import View
 from fieldloc.vision.posts_pairs import Strips
+from fieldloc.vision.posts_score import score_of
 from fieldloc.vision.turf import Mask, Turf
 
 _SAMPLES = 56  # along a strip and what may be above and below it
@@ -25,11 +26,13 @@ _SLIMMEST, _STOUTEST = 24.0, 4.2  # height by width, of tall goals and of low on
 _STOUTEST_CUT = 1.3  # where the picture ends above
 _CUT = 0.5  # of a crossbar is what is known of a post whose upper end is beside the picture
 _DARKEST = 0.4  # of its own light that a post keeps in shade
+_DIFFERENT = 6.0  # of 255, from what is beside it
 _LIGHT = 1.0  # of the turf's lightest part: white is lighter than any turf in the same light
 _GREY = 0.56  # the least part of a white post's colour by its largest
+_SURE_BAR = 0.65  # of the places: with that much of a bar, another thing may hide the foot
 _ON_TURF = 0.6  # of the points beneath and beside the foot
 _WIDEST_GOAL = 3.0  # by its height
-_UNLIKE = 1.6  # times slimmer or stouter than the clearest post of the picture
+_UNLIKE = 2.0  # times slimmer or stouter than the clearest post of the picture
 _BESIDE_TOP = 0.5  # of the points beside the upper part may be turf
 
 
@@ -75,7 +78,7 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
     side_tops, foot_v = _ends(strips, view, turf, own)
     stand = _standing(strips, foot_v, foot_v - side_tops.min(axis=1), turf, len(picture))
     # a post whose foot another thing hides is still seen down to where that begins, not to less
-    good = (stand >= _ON_TURF) & (foot_v > strips.rows[:, 1] - 0.3 * (strips.rows[:, 1] - strips.rows[:, 0]))
+    good = foot_v > strips.rows[:, 1] - 0.3 * (strips.rows[:, 1] - strips.rows[:, 0])
     good &= view.has_hue(own)
     if min(colour) > 127:
         good &= (own.min(axis=1) > _GREY * own.max(axis=1)) & (own.max(axis=1) > _LIGHT * turf.colour.max())
@@ -88,11 +91,16 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
     level = view.likeness_of(own)
     bars, top_v = bars_of(strips, view, side_tops, level)
     whole = foot_v - top_v
-    cut = top_v <= 2.0
-    good = (whole > np.where(cut, _STOUTEST_CUT, _STOUTEST) * strips.width_px) & (whole < _SLIMMEST * strips.width_px)
+    stands = (stand >= _ON_TURF) | (bars.max(axis=1) >= _SURE_BAR)
+    cut = _leaves(strips, top_v, picture.shape[1])
+    good = (
+        stands
+        & (whole > np.where(cut, _STOUTEST_CUT, _STOUTEST) * strips.width_px)
+        & (whole < _SLIMMEST * strips.width_px)
+    )
     seen = np.minimum(1.0, 2.0 * (strips.rows[:, 1] - strips.rows[:, 0]) / np.maximum(whole, 1.0))
-    score = np.where(cut, _CUT, bars.max(axis=1)) + np.minimum(0.5, strips.contrast / np.maximum(level, 1.0))
-    score += 0.3 * (seen - 1.0) + 0.4 * (stand - 1.0)
+    score = np.maximum(np.where(cut, _CUT, 0.0), bars.max(axis=1))
+    score += score_of(strips, view, turf, top_v, foot_v, level) + 0.3 * (seen - 1.0) + 0.4 * (stand - 1.0)
     return [
         Upright(
             strips.left[i],
@@ -109,6 +117,13 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
     ]
 
 
+def _leaves(strips: Strips, top_v: FloatArray, width_px: int) -> Mask:
+    """(n,) whether posts go on beside the picture: above, or at one of its sides."""
+    beyond = (top_v - 3.0)[:, None]
+    left, right = strips.left_at(beyond)[:, 0], strips.right_at(beyond)[:, 0]
+    return np.asarray((top_v <= 2.0) | (left < 1.0) | (right > width_px - 2.0))
+
+
 def alike(uprights: list[Upright]) -> list[Upright]:
     """Best first, without those that are much slimmer or stouter than most: posts of a field are alike.
 
@@ -118,7 +133,7 @@ def alike(uprights: list[Upright]) -> list[Upright]:
     if not whole:
         return sorted(uprights, key=lambda upright: -upright.score)
     slimness = np.array([one.slimness for one in whole])
-    weight = np.array([one.score * np.sqrt(one.width_px) for one in whole])
+    weight = np.array([max(one.score, 0.0) * one.width_px for one in whole])
     same = np.abs(np.log(slimness[:, None] / slimness)) < np.log(_UNLIKE)
     usual = slimness[int(np.argmax(same @ weight + weight))]
     kept = [one for one in uprights if one.cut or 1 / _UNLIKE < one.slimness / usual < _UNLIKE]
@@ -206,7 +221,12 @@ def _seen(strips: Strips, v: FloatArray, view: View, own: FloatArray) -> tuple[l
     same = inside > level - np.maximum(12.0, 0.5 * contrast)
     sides = np.stack([view.likeness_at(left - aside, v), view.likeness_at(right + aside, v)])
     level_sides = np.abs(sides - inside).max(axis=0) < 0.3 * contrast
-    return [same & (inside - side > 0.3 * contrast) for side in sides], middle, level_sides
+    # lighter walls may be behind a post, too
+    return (
+        [same & (np.abs(inside - side) > np.maximum(_DIFFERENT, 0.15 * contrast)) for side in sides],
+        middle,
+        level_sides,
+    )
 
 
 def _total(colours: FloatArray) -> FloatArray:
