@@ -17,6 +17,7 @@ import numpy as np
 from estimators.chain import Chain
 from estimators.config import Config
 from estimators.graph.compass_offsets import CompassOffsets
+from estimators.graph.elimination import elimination_order
 from estimators.linearised import Linearised
 from estimators.motion import OdometryCalibration
 from estimators.sensor import SensorCalibration
@@ -47,6 +48,9 @@ class _Problem:
         self._cauchy = config.graph.cauchy
         self._linearised = Linearised(chain, config)
         self._compass = CompassOffsets(chain, config.compass, self._count + 1)
+        self._order = elimination_order(self._compass.knots_of_nodes, self._compass.count, self._count)
+        if self._linearised.free.any():
+            self._order.push_back(self._count)
 
     def solve(self) -> Solution:
         common, offsets = self._linearised.means.copy(), np.zeros(self._compass.count)
@@ -59,7 +63,7 @@ class _Problem:
             offsets[:] = self._near.compass_rad if len(offsets) == len(self._near.compass_rad) else 0.0
         error = self._error(poses, common, offsets)
         for _ in range(_MAX_STEPS):
-            step = self._linear(poses, common, offsets).optimize()
+            step = self._linear(poses, common, offsets).optimize(self._order)
             if free.any():
                 common[free] += step.at(self._count)
             offsets += self._compass.step(step)
@@ -69,7 +73,7 @@ class _Problem:
                 break
         if not np.isfinite(error):
             raise ValueError("the graph's error is not finite: a factor holds a value that is not")
-        tree = self._linear(poses, common, offsets).eliminateMultifrontal()
+        tree = self._linear(poses, common, offsets).eliminateMultifrontal(self._order)
         covariance = np.zeros((GLOBALS, GLOBALS))
         if free.any():
             covariance[np.ix_(free, free)] = tree.marginalCovariance(self._count)

@@ -8,6 +8,7 @@ from estimators.compass_knots import knot_s
 from estimators.config import Compass
 from fieldloc import pose as se2
 from fieldloc.factors import HeadingFactor
+from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
 
@@ -24,11 +25,12 @@ class CompassOffsets:
         self._heading_rad = np.array([f.heading_rad for _, f in readings])
         self._sigma_rad = np.sqrt([f.covariance[0, 0] for _, f in readings])
         self._prior_sigma_rad = config.offset_sigma_rad
-        start_ns = chain.stamps_ns[0]
-        self._knots = [int(np.round((chain.stamps_ns[k] - start_ns) * 1e-9 / every_s)) for k in self._nodes]
+        elapsed_s = (np.array(chain.stamps_ns) - chain.stamps_ns[0]) * 1e-9
+        self.knots_of_nodes: IntArray = np.round(elapsed_s / every_s).astype(np.intp)
+        self._knots = self.knots_of_nodes[self._nodes].tolist()
         self.count = 0
         if readings and config.offset_sigma_rad > 0.0:
-            self.count = int(np.round((chain.stamps_ns[-1] - start_ns) * 1e-9 / every_s)) + 1
+            self.count = int(self.knots_of_nodes[-1]) + 1
         self._keep, variance = config.wander(every_s)
         self._step_weight = 1.0 / np.sqrt(variance) if variance > 0.0 else 0.0
         self._first_key = first_key
