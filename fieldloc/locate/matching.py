@@ -49,6 +49,16 @@ class Matches:
             self.circle_gains[rows],
         )
 
+    def and_also(self, other: "Matches") -> "Matches":
+        return Matches(
+            np.concatenate([self.lines, other.lines]),
+            np.concatenate([self.line_gains, other.line_gains]),
+            np.concatenate([self.posts, other.posts]),
+            np.concatenate([self.post_gains, other.post_gains]),
+            np.concatenate([self.circle, other.circle]),
+            np.concatenate([self.circle_gains, other.circle_gains]),
+        )
+
     @property
     def gains(self) -> FloatArray:
         return np.asarray(self.line_gains.sum(axis=1) + self.post_gains.sum(axis=1) + self.circle_gains)

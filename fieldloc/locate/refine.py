@@ -15,6 +15,7 @@ from fieldloc.locate.errors import (
 )
 from fieldloc.locate.matching import Matches, Noise
 from fieldloc.locate.prior import CameraPrior
+from fieldloc.locate.windows import Windows
 from fieldloc.pose import FloatArray, wrap
 
 _LONGEST = np.array([0.7, 0.7, 0.25, 0.25, 0.12, 0.12])  # a step: metres and radians
@@ -40,7 +41,14 @@ class Step:
     numbers: FloatArray
 
 
-def linearise(cameras: Cameras, noise: Noise, matches: Matches, prior: CameraPrior, robust: bool = True) -> Step:
+def linearise(
+    cameras: Cameras,
+    noise: Noise,
+    matches: Matches,
+    prior: CameraPrior,
+    windows: Windows | None = None,
+    robust: bool = True,
+) -> Step:
     sight, shape = noise.sight, noise.shape
     count = len(cameras.states)
     white: list[FloatArray] = []  # Jacobians (k, n, 7) and errors (k, n) of numbers that are independent
@@ -101,6 +109,10 @@ def linearise(cameras: Cameras, noise: Noise, matches: Matches, prior: CameraPri
     information[:, 3:, 3:] = prior.precision
     information[:, [0, 1, 2], [0, 1, 2]] = _ANYWHERE**-2.0
     gradient[:, 3:] = pulled
+    if windows is not None:
+        row, away = windows.rows, windows.off(cameras.states)
+        information[:, :2, :2] += row[:, :, None] * row[:, None, :]
+        gradient[:, :2] += row * away[:, None]
     if white:
         rows, residuals = np.concatenate(white, axis=1), np.concatenate(errors, axis=1)
         across = np.swapaxes(rows, 1, 2)

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldloc import pose as se2
-from fieldloc.locate.errors import Cameras
+from fieldloc.locate.errors import Cameras, IntArray
 from fieldloc.locate.evidence import log_missed
 from fieldloc.locate.matching import Matches, Noise, match
 from fieldloc.locate.refine import linearise, stepped
 from fieldloc.locate.task import Task
+from fieldloc.locate.windows import Windows, cut
 from fieldloc.pose import FloatArray
 
 _AMOUNTS = np.array([0.001, 0.02, 0.2, 1.0, 5.0])  # of the model's noise, as variances,
@@ -22,7 +23,9 @@ _LOG_OFTEN = np.log(np.array([0.35, 0.28, 0.19, 0.12, 0.06]))  # and how often t
 _HIDDEN = 4.0  # times as much as it shows may a fit hide
 _LEAST_NUMBERS = 4  # of a pose, height and attitude known somewhat
 _UNKNOWN = np.array([1.5, 1.5, 0.5])  # standard deviations of what is no pose any more
-_MARGIN = 25.0  # so much less evidence than the best is none
+_MARGIN = 25.0  # so much less evidence than the best is none,
+_WORTH_CUTTING = 10.0  # and so much less not worth telling exactly
+_STEPS = 4  # of pieces
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
@@ -36,26 +39,57 @@ class Settled:
     matches: Matches
     log_evidence: FloatArray
 
+    def take(self, rows: IntArray) -> "Settled":
+        return Settled(self.states[rows], self.covariances[rows], self.matches.take(rows), self.log_evidence[rows])
+
+    def and_also(self, other: "Settled") -> "Settled":
+        return Settled(
+            np.concatenate([self.states, other.states]),
+            np.concatenate([self.covariances, other.covariances]),
+            self.matches.and_also(other.matches),
+            np.concatenate([self.log_evidence, other.log_evidence]),
+        )
+
 
 def settle(task: Task, states: FloatArray) -> Settled:
+    whole = _settled(task, states, Windows.none(len(states)))
+    order = np.argsort(-whole.log_evidence, kind="stable")
+    order = order[whole.log_evidence[order] > whole.log_evidence.max(initial=-np.inf) - _WORTH_CUTTING]
+    pieces, windows, parents = cut(whole.states, whole.covariances, order)
+    if len(pieces):
+        matches = whole.matches.take(parents)
+        for _ in range(_STEPS):
+            pieces = stepped(pieces, linearise(Cameras.at(pieces), task.noise(), matches, task.prior, windows))
+        whole = whole.take(np.setdiff1d(np.arange(len(whole.states)), parents)).and_also(
+            _settled(task, pieces, windows)
+        )
+    known = (whole.covariances[:, [0, 1, 2], [0, 1, 2]] < _UNKNOWN**2).all(axis=1)
+    log_evidence = np.where(known, whole.log_evidence, -np.inf)
+    good = np.flatnonzero(log_evidence > max(float(log_evidence.max(initial=-np.inf)) - _MARGIN, -1e9))
+    return whole.take(good)
+
+
+def _settled(task: Task, states: FloatArray, windows: Windows) -> Settled:
     shape, prior, settings = task.shape, task.prior, task.settings
     count, amounts = len(states), len(_AMOUNTS)
     noise = Noise(task.sight, shape, settings, 0.0, np.tile(_AMOUNTS, count))
+    windows = windows.repeat(amounts)
     fitted = np.repeat(states, amounts, axis=0)
     matches = match(Cameras.at(states), task.noise()).take(np.repeat(np.arange(count), amounts))
-    fitted = stepped(fitted, linearise(Cameras.at(fitted), noise, matches, prior))
+    fitted = stepped(fitted, linearise(Cameras.at(fitted), noise, matches, prior, windows))
     cameras = Cameras.at(fitted)
     matches = match(cameras, noise)
-    step = linearise(cameras, noise, matches, prior)
+    step = linearise(cameras, noise, matches, prior, windows)
     covariances = np.linalg.inv(step.information)
-    log_prior = 0.5 * np.linalg.slogdet(prior.precision)[1] - 1.5 * _LOG_2PI - 0.5 * step.prior
+    log_prior = 0.5 * np.linalg.slogdet(prior.precision)[1] - 1.5 * _LOG_2PI - 0.5 * step.prior + windows.logs(fitted)
     log_volume = 3.0 * _LOG_2PI - 0.5 * np.linalg.slogdet(step.information)[1]
     logs = matches.gains + log_prior + log_volume - np.log(shape.area_m2 * 2.0 * np.pi) + np.tile(_LOG_OFTEN, count)
     xy = fitted[:, :2]
     possible = ((xy > shape.box[:2]) & (xy < shape.box[2:])).all(axis=1) & (step.numbers >= _LEAST_NUMBERS)
     logs = np.where(possible, logs, -np.inf).reshape(count, amounts)
     log_evidence = np.logaddexp.reduce(logs, axis=1)
-    shares = np.exp(logs - np.maximum(log_evidence, -1e9)[:, None])
+    good = np.isfinite(log_evidence)
+    shares = np.exp(logs - np.where(good, log_evidence, 0.0)[:, None])
     rows = np.arange(count) * amounts + np.argmax(logs, axis=1)
     off = fitted.reshape(count, amounts, 6) - fitted[rows][:, None]
     off[..., [2, 5]] = se2.wrap(off[..., [2, 5]])
@@ -68,9 +102,6 @@ def settle(task: Task, states: FloatArray) -> Settled:
     covariance = covariance + by_focal @ np.swapaxes(by_focal, 1, 2)
     # what is near each other on the map is off it together, so no place is known better than the map
     covariance[:, [0, 1], [0, 1]] += ((systematic * settings.map_m) ** 2)[:, None]
-    known = (covariance[:, [0, 1, 2], [0, 1, 2]] < _UNKNOWN**2).all(axis=1)
-    log_evidence = np.where(known, log_evidence, -np.inf)
-    good = np.flatnonzero(log_evidence > max(float(log_evidence.max()) - _MARGIN, -1e9))
-    states, covariance, matches = fitted[rows][good], covariance[good], matches.take(rows[good])
-    missed = log_missed(Cameras.at(states), task.sight, shape, matches, settings)
-    return Settled(states, covariance, matches, log_evidence[good] + missed)
+    matches = matches.take(rows)
+    missed = log_missed(Cameras.at(fitted[rows]), task.sight, shape, matches, settings)
+    return Settled(fitted[rows], covariance, matches, log_evidence + missed).take(np.flatnonzero(good))
