@@ -7,9 +7,9 @@ several solutions, and of one more that says that nothing seen is what it seems 
 same observation, so terms compare across solutions, across poses and with the last one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,19 @@ class PoseSolutions:
         return PoseSolutions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.intp))
 
 
+class After(NamedTuple):
+    """What solutions make of a robot's tangent of covariance P; information I.
+
+    shrink: (c, 3, 3) the inverse of 1 + P I: times a covariance before, it is that after. step: (c, 3) its mean after.
+    updated: (c, 3, 3) its covariance after, still at the parent's pose. evidence: (c,) log p(observation, solution) of
+    a robot that is at the parent's pose up to P."""
+
+    shrink: FloatArray
+    step: FloatArray
+    updated: FloatArray
+    evidence: FloatArray
+
+
 @dataclass(frozen=True)
 class Expansion:
     """Solutions near some poses, each as a quadratic in the robot-frame tangent d at its pose:
@@ -48,7 +61,8 @@ class Expansion:
 
     parent: (c,) row of the pose. ids: (c,) what `MixtureFactor.chosen` takes. constant: (c,), gradient: (c, 3),
     information: (c, 3, 3), which has no inverse where a solution leaves a direction free.
-    covariance: (c, 3, 3) of the tangent before the observation; what is derived below is under it.
+    covariance: (c, 3, 3) of the tangent before the observation; what is derived below is under it. known: that, where
+    it has been worked out.
     """
 
     parent: IntArray
@@ -57,6 +71,7 @@ class Expansion:
     gradient: FloatArray
     information: FloatArray
     covariance: FloatArray
+    known: After | None = None
 
     def take(self, rows: IntArray) -> "Expansion":
         """Those solutions (n,), in rising order."""
@@ -69,29 +84,55 @@ class Expansion:
             self.gradient[rows],
             self.information[rows],
             self.covariance[rows],
+            After(*(part[rows] for part in self.after)),
+        )
+
+    def likelier(self, by: FloatArray | float) -> "Expansion":
+        """The same with constants that are so much higher (c,)."""
+        known = self.after._replace(evidence=self.evidence + by)
+        return replace(self, constant=self.constant + by, known=known)
+
+    def of(self, mount: FloatArray, back: FloatArray, covariances: FloatArray) -> "Expansion":
+        """By another tangent t, of covariances (h, 3, 3) of the parents' poses, where d = mount t and t = back d."""
+        after = self.after
+        updated = back @ after.updated @ back.T
+        return Expansion(
+            self.parent,
+            self.ids,
+            self.constant,
+            self.gradient @ mount,
+            mount.T @ self.information @ mount,
+            covariances[self.parent],
+            After(back @ after.shrink @ mount, after.step @ back.T, updated, after.evidence),
         )
 
     @cached_property
+    def after(self) -> After:
+        if self.known is not None:
+            return self.known
+        shrink = np.linalg.inv(_IDENTITY + self.covariance @ self.information)
+        updated = shrink @ self.covariance
+        updated = 0.5 * (updated + updated.swapaxes(-1, -2))
+        step = (updated @ self.gradient[:, :, None])[..., 0]
+        log_det = np.linalg.slogdet(shrink)[1]
+        evidence = self.constant + 0.5 * ((self.gradient * step).sum(axis=1) + log_det)
+        return After(shrink, step, updated, evidence)
+
+    @property
     def shrink(self) -> FloatArray:
-        """(c, 3, 3) the inverse of 1 + covariance information: times a covariance before, it is that after."""
-        return np.asarray(np.linalg.inv(_IDENTITY + self.covariance @ self.information))
+        return self.after.shrink
 
-    @cached_property
+    @property
     def step(self) -> FloatArray:
-        """(c, 3) mean of the tangent after the observation."""
-        return np.asarray((self.shrink @ self.covariance @ self.gradient[:, :, None])[..., 0])
+        return self.after.step
 
-    @cached_property
+    @property
     def updated(self) -> FloatArray:
-        """(c, 3, 3) covariance of the tangent after the observation, still at the parent's pose."""
-        out = self.shrink @ self.covariance
-        return np.asarray(0.5 * (out + np.swapaxes(out, -1, -2)))
+        return self.after.updated
 
-    @cached_property
+    @property
     def evidence(self) -> FloatArray:
-        """(c,) log p(observation, solution) of a robot that is at the parent's pose up to its covariance."""
-        log_det = -np.linalg.slogdet(self.shrink)[1]
-        return np.asarray(self.constant + 0.5 * (np.einsum("ci,ci->c", self.gradient, self.step) - log_det))
+        return self.after.evidence
 
 
 class MixtureFactor(Protocol):

@@ -11,7 +11,8 @@ from scipy.optimize import linear_sum_assignment
 
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
-from fieldloc.scan_model import Pairs, ScanModel
+from fieldloc.scan_model import ScanModel
+from fieldloc.scan_pairs import Pairs, pairs_of
 
 _AT_ONCE = 48  # assignments followed of one hypothesis
 _FORGOTTEN_ON_THE_WAY = 12.0  # log weight below the best one's
@@ -125,7 +126,7 @@ def _best(parent: IntArray, score: FloatArray, h: int) -> IntArray:
 
 def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
     """(n,) landmark of each observation, -1 for none, in the best assignment from one pose (3,)."""
-    pairs = model.pairs(pose[None], np.zeros((1, 3, 3)))
+    pairs = pairs_of(model, pose[None], np.zeros((1, 3, 3)))
     xx, xy, yy = pairs.xx, pairs.xy, pairs.yy
     if model.shared is not None:
         by_range, by_bearing = model.shared_widened[pairs.row].T

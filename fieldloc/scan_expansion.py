@@ -8,8 +8,9 @@ from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray
 from fieldloc.pose import FloatArray
 from fieldloc.scan_assignments import Assignments, assign
-from fieldloc.scan_model import Pairs, ScanModel, Terms
-from fieldloc.scan_quadratics import Quadratics, log_shared, quadratics
+from fieldloc.scan_model import ScanModel, Terms
+from fieldloc.scan_pairs import Pairs, pairs_of
+from fieldloc.scan_quadratics import Freed, Quadratics, log_shared, quadratics
 
 _FORGOTTEN = 8.0  # log weight below the best one of a pose
 _DOUBTFUL = 2.0  # log evidence of an observation's landmark against clutter, below which more of them may be wrong
@@ -22,7 +23,13 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
 
     ids are rows, constants relative to all being clutter, which is left out itself.
     """
-    pairs = model.pairs(poses, covariances)
+    if len(poses) == 1 and model.named is not None and len(model.named):
+        # if all are where their labels say, nothing else is to be asked
+        found = Assignments(np.zeros(1, dtype=np.intp), model.named[None], np.zeros((1, 3)), np.zeros(1))
+        wider = model.widening(np.arange(len(model.named)), model.named)
+        if (doubted := _without_one(_expanded(model, found, poses, covariances, wider), found.matches)) is not None:
+            return doubted
+    pairs = pairs_of(model, poses, covariances)
     matches = np.full((len(poses), len(model.range_bearing)), -1)
     matches[pairs.pose, pairs.row] = pairs.landmark
     if _unambiguous(pairs, len(poses), *model.may.shape):
@@ -37,7 +44,7 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
     best = np.full(len(poses), -np.inf)
     np.maximum.at(best, out.parent, out.evidence)
     keep = np.flatnonzero(out.evidence > best[out.parent] - _FORGOTTEN)
-    return _take(out, keep), found.matches[keep]
+    return out.take(keep), found.matches[keep]
 
 
 def _unambiguous(pairs: Pairs, h: int, n: int, m: int) -> bool:
@@ -49,11 +56,12 @@ def _unambiguous(pairs: Pairs, h: int, n: int, m: int) -> bool:
 
 
 class _Expanded(NamedTuple):
-    """whole: with the shared errors, from `terms` in the tangent at the parent's pose; weighted (c, n, 2, k + 1):
-    Jacobian and error of each observation, weighted."""
+    """whole: with the shared errors, which are `freed`, from `terms` in the tangent at the parent's pose; weighted
+    (c, n, 2, k + 1): Jacobian and error of each observation, weighted."""
 
     out: Expansion
     whole: Quadratics
+    freed: Freed | None
     terms: Terms
     weighted: FloatArray
 
@@ -73,11 +81,12 @@ def _expanded(
             terms.error[:] -= (jacobian @ step[:, None, :, None])[..., 0]
             terms.jacobian[..., :3] = jacobian
         whole, weighted = quadratics(terms)
-        out = Expansion(found.parent, each, *whole.of_pose(), covariance)
+        freed = whole.freed()
+        out = Expansion(found.parent, each, *whole.of_pose(freed), covariance)
         if (np.abs(out.step - step) < _STRAIGHT).all():
             break
         step, moved = out.step, True
-    return _Expanded(out, whole, terms, weighted)
+    return _Expanded(out, whole, freed, terms, weighted)
 
 
 def _without_one(found: _Expanded, matches: IntArray) -> tuple[Expansion, IntArray] | None:
@@ -85,27 +94,29 @@ def _without_one(found: _Expanded, matches: IntArray) -> tuple[Expansion, IntArr
 
     None where one is so doubtful that more of them may be wrong.
     """
-    full, whole, terms, weighted = found
+    full, whole, freed, terms, weighted = found
     size = weighted.shape[-1] - 1
-    step, updated = full.step, full.updated
-    if size > 3:
-        prior = np.zeros((len(step), size, size))
-        prior[:, :3, :3] = full.covariance
-        prior[:, range(3, size), range(3, size)] = 1.0
-        updated = np.asarray(np.linalg.solve(np.eye(size) + prior @ whole.information, prior))
-        step = (updated @ whole.gradient[:, :, None])[..., 0]
     # how likely each is beside the others: the innovation without it, from the residual with it
-    left = terms.error + (terms.jacobian @ step[:, None, :, None])[..., 0]
-    explained = weighted[..., :size] @ updated[:, None] @ np.swapaxes(terms.jacobian, -1, -2)
+    jacobian, error = terms.jacobian[..., :3], terms.error
+    if freed is not None:
+        follows = terms.jacobian[..., 3:] @ freed.mean[:, None]
+        jacobian, error = jacobian - follows[..., :3], error + follows[..., 3]
+    spread = jacobian @ full.updated[:, None] @ jacobian.swapaxes(-1, -2)
+    if freed is not None:
+        of_shared = terms.jacobian[..., 3:]
+        spread += of_shared @ freed.covariance[:, None] @ of_shared.swapaxes(-1, -2)
+    left = error + (jacobian @ full.step[:, None, :, None])[..., 0]
+    explained = terms.weight @ spread
     a, b = 1.0 - explained[..., 0, 0], -explained[..., 0, 1]
     c, d = -explained[..., 1, 0], 1.0 - explained[..., 1, 1]
     det = np.maximum(a * d - b * c, 1e-300)
     pull = (terms.weight @ left[..., None])[..., 0]
     misfit = left[..., 0] * (d * pull[..., 0] - b * pull[..., 1]) + left[..., 1] * (a * pull[..., 1] - c * pull[..., 0])
     gain = np.where(matches >= 0, terms.log_peak + 0.5 * np.log(det) - 0.5 * misfit / det, np.inf)
-    if (gain > _FORGOTTEN).all():
+    least = gain.min(initial=np.inf)
+    if least > _FORGOTTEN:
         return full, matches
-    if (gain < _DOUBTFUL).any():
+    if least < _DOUBTFUL:
         return None
     row, seen = np.nonzero((gain < _FORGOTTEN) & ((matches >= 0).sum(axis=1) > 1)[:, None])
     error, jacobian, of_it = terms.error[row, seen], terms.jacobian[row, seen], weighted[row, seen]
@@ -114,9 +125,8 @@ def _without_one(found: _Expanded, matches: IntArray) -> tuple[Expansion, IntArr
     if terms.of_shared is not None:
         of_all = terms.of_shared.sum(axis=1)[row]
         constant += log_shared(of_all - terms.of_shared[row, seen]) - log_shared(of_all)
-    fewer = Quadratics(
-        constant, whole.gradient[row] + back[..., size], whole.information[row] - back[..., :size]
-    ).of_pose()
+    sums = Quadratics(constant, whole.gradient[row] + back[..., size], whole.information[row] - back[..., :size])
+    fewer = sums.of_pose(sums.freed())
     rows = np.concatenate([np.arange(len(matches)), row])
     others = matches[rows]
     others[np.arange(len(matches), len(rows)), seen] = -1
@@ -128,16 +138,3 @@ def _without_one(found: _Expanded, matches: IntArray) -> tuple[Expansion, IntArr
         np.concatenate([full.information, fewer.information]),
         full.covariance[rows],
     ), others
-
-
-def _take(full: Expansion, rows: IntArray) -> Expansion:
-    if len(rows) == len(full.ids):
-        return full
-    return Expansion(
-        full.parent[rows],
-        full.ids[rows],
-        full.constant[rows],
-        full.gradient[rows],
-        full.information[rows],
-        full.covariance[rows],
-    )

@@ -13,6 +13,7 @@ from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 from fieldloc.scan_assignments import assign
 from fieldloc.scan_model import GATE, BoolArray, ScanModel
+from fieldloc.scan_pairs import pairs_of
 from fieldloc.scan_quadratics import log_shared, quadratics
 
 _ROUNDS = 8
@@ -53,7 +54,7 @@ def whole_poses(model: ScanModel) -> Fits:
         start = found.take(np.flatnonzero(found.whole))
         start = start.take(np.argsort(-start.log_weights, kind="stable")[:_LOOKED_AROUND])
         spread = _LOOSER * start.covariances
-        around = assign(model, model.pairs(start.poses, spread), spread)
+        around = assign(model, pairs_of(model, start.poses, spread), spread)
         enough = (around.matches >= 0).sum(axis=1) >= n - may_be_unexplained(n)
         found = _fitted(model, np.concatenate([found.matches, around.matches[enough]]))
     best = found.log_weights.max(initial=-np.inf)
@@ -97,7 +98,8 @@ def _fitted(model: ScanModel, matches: IntArray) -> Fits:
     poses = _aligned(model, matches)
     for _ in range(_ROUNDS):
         terms = model.terms(poses, matches, None)
-        constant, gradient, information = quadratics(terms)[0].of_pose()
+        sums, _ = quadratics(terms)
+        constant, gradient, information = sums.of_pose(sums.freed())
         # two landmarks in one place leave the heading open: a step is needed all the same
         ridge = 1e-9 * np.trace(information, axis1=-2, axis2=-1)[:, None, None] * np.eye(3)
         covariance = np.asarray(np.linalg.inv(information + ridge))

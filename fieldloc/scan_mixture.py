@@ -65,34 +65,31 @@ class ScanMixture:
         at = poses if mount is None else se2.compose(poses, self.scan.robot_from_sensor)
         spread = covariances if mount is None else mount @ covariances @ mount.T
         seen, matches = expand(self.model, at, spread)
-        out = Expansion(
-            seen.parent,
-            self._intern(matches),
-            seen.constant + self.log_right,
-            seen.gradient if mount is None else seen.gradient @ mount,
-            seen.information if mount is None else mount.T @ seen.information @ mount,
-            seen.covariance if mount is None else covariances[seen.parent],
-        )
+        log_more: FloatArray | float = self.log_right
         if self.misses is not None and len(matches):
             # where they lead, by steps that are taken straight; the constants are its own, its steps are kept as found
-            step = out.step if mount is None else out.step @ mount.T
-            left = out.updated if mount is None else mount @ out.updated @ mount.T
-            there = at[seen.parent]
+            step, there = seen.step, at[seen.parent]
             c, s = np.cos(there[:, 2]), np.sin(there[:, 2])
             there[:, 0] += c * step[:, 0] - s * step[:, 1]
             there[:, 1] += s * step[:, 0] + c * step[:, 1]
             there[:, 2] += step[:, 2]
-            out.constant[:] += self._log_missed(there, left, matches)
+            log_more = log_more + self._log_missed(there, seen.updated, matches)
         if (repeated := 1.0 - self.model.news(matches)) > 0.0:
             # what it may be was chosen from when it was seen before: that there is much to choose from is no news again
-            out = replace(out, constant=out.constant - repeated * _choice(out, len(poses)))
-        return out
+            log_more = log_more - repeated * _choice(seen.parent, seen.evidence + log_more, len(poses))
+        out = replace(seen.likelier(log_more), ids=self._intern(matches))
+        return out if mount is None else out.of(mount, self._from_sensor, covariances)
 
     @cached_property
     def _mount(self) -> FloatArray | None:
         """(3, 3) from a robot's tangent to its sensor's; None where they are the same."""
         mount = self.scan.robot_from_sensor
         return np.asarray(se2.adjoint(se2.inverse(mount))) if mount.any() else None
+
+    @cached_property
+    def _from_sensor(self) -> FloatArray:
+        """(3, 3) the inverse of `_mount`."""
+        return se2.adjoint(self.scan.robot_from_sensor)
 
     def log_likelihood(self, poses: FloatArray) -> FloatArray:
         at = se2.compose(poses.reshape(-1, 3), self.scan.robot_from_sensor)
@@ -204,15 +201,15 @@ class ScanMixture:
         return PoseSolutions(poses, covariances, found.log_weights + self.log_right, self._intern(found.matches))
 
 
-def _choice(near: Expansion, poses: int) -> FloatArray:
+def _choice(parent: IntArray, evidence: FloatArray, poses: int) -> FloatArray:
     """(c,) entropy of the choice between the solutions near each of so many poses."""
     best = np.full(poses, -np.inf)
-    np.maximum.at(best, near.parent, near.evidence)
-    above = near.evidence - best[near.parent]
+    np.maximum.at(best, parent, evidence)
+    above = evidence - best[parent]
     share = np.exp(above)
-    total = np.bincount(near.parent, share, poses)
-    mean = np.bincount(near.parent, share * above, poses) / np.maximum(total, 1e-300)
-    return np.asarray((np.log(np.maximum(total, 1e-300)) - mean)[near.parent])
+    total = np.bincount(parent, share, poses)
+    mean = np.bincount(parent, share * above, poses) / np.maximum(total, 1e-300)
+    return np.asarray((np.log(np.maximum(total, 1e-300)) - mean)[parent])
 
 
 def scan_mixture(

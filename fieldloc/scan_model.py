@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.mixture import IntArray
-from fieldloc.pose import FloatArray, wrap
-from fieldloc.scan_moments import Upper, determinant, moments, turned, upper_of
+from fieldloc.pose import FloatArray
+from fieldloc.scan_moments import Upper, determinant, moments
 
 BoolArray = NDArray[np.bool_]
 
@@ -22,29 +22,6 @@ GATE = 18.42  # chi-square, 2 degrees of freedom: a right one fails once in ten 
 NAMED_GATE = 36.0  # one whose label says which it is; what is worth less than clutter then counts as that
 _LOG_TWO_PI = float(np.log(2 * np.pi))
 _NEAREST_M = 1e-6  # on the landmark any direction will do
-
-
-class Pairs(NamedTuple):
-    """Observations and landmarks that may belong together, in order of pose and observation, (k,) each.
-
-    x, y: where the landmark is, sensor's frame; ex, ey: less where it was seen, metres; xx, xy, yy: covariance of that,
-    of its own error, widened. log_peak: log density of range and bearing without an error, relative to clutter, by the
-    covariance that is not widened, plus half the log determinant of (xx, xy, yy): less that of the whole error, it is a
-    density again. wider: (n, 2) by how much it is widened, None for not at all.
-    """
-
-    pose: IntArray
-    row: IntArray
-    landmark: IntArray
-    x: FloatArray
-    y: FloatArray
-    ex: FloatArray
-    ey: FloatArray
-    xx: FloatArray
-    xy: FloatArray
-    yy: FloatArray
-    log_peak: FloatArray
-    wider: FloatArray | None
 
 
 class Terms(NamedTuple):
@@ -98,51 +75,6 @@ class ScanModel:
     shared: FloatArray | None = None
     wider_shared: FloatArray = field(default_factory=lambda: np.ones(2))
 
-    def pairs(self, poses: FloatArray, covariances: FloatArray) -> Pairs:
-        """What may be what for robots at poses (h, 3) up to covariances (h, 3, 3), by errors that are not widened."""
-        x, y = self._landmarks_from(poses)
-        pxx, pxy, pxh, pyy, pyh, phh = upper_of(covariances[:, None])
-        xx = pxx + y * (y * phh - 2.0 * pxh)
-        xy = pxy - y * pyh + x * pxh - x * y * phh
-        yy = pyy + x * (x * phh + 2.0 * pyh)
-        if self.survey is not None:
-            sxx, sxy, syy = turned(self.survey, poses[:, 2:])
-            xx, xy, yy = xx + sxx, xy + sxy, yy + syy
-        seen_x, seen_y, r, rr, bb = self._seen[:5, :, None]
-        # first in a circle as wide as the widest axis at most; a bearing's error counts by the farther of both ranges
-        far2 = np.maximum((x * x + y * y)[:, None], r * r)
-        apart2 = (x[:, None] - seen_x) ** 2 + (y[:, None] - seen_y) ** 2
-        near = (apart2 < self._gates[:, None] * ((xx + yy)[:, None] + rr + far2 * bb)) & self.may
-        pose, row, landmark = np.nonzero(near)
-        x, y, xx, xy, yy = np.stack([x, y, xx, xy, yy])[:, pose, landmark]
-        seen = self._seen[:, row]
-        ex, ey = x - seen[0], y - seen[1]
-        far = np.sqrt(far2[pose, row, landmark])
-        far2 = far * far
-        xx = xx + seen[5] + far * seen[11] + far2 * seen[8]
-        xy = xy + seen[6] + far * seen[12] + far2 * seen[9]
-        yy = yy + seen[7] + far * seen[13] + far2 * seen[10]
-        keep = (yy * ex - 2.0 * xy * ey) * ex + xx * ey * ey < self._gates[row] * (xx * yy - xy * xy)
-        if not keep.all():
-            pose, row, landmark, seen = pose[keep], row[keep], landmark[keep], seen[:, keep]
-            x, y, ex, ey = x[keep], y[keep], ex[keep], ey[keep]
-        wider = self.widening(row, landmark)
-        if self.shared is not None:
-            seen = self._own[:, row]
-        r = seen[2]
-        survey = np.zeros((3, 1)) if self.survey is None else np.stack(turned(self.survey[landmark], poses[pose, 2]))
-        plain = seen[5:8] + r * (seen[11:14] + r * seen[8:11])
-        if self.survey is not None:
-            plain += survey
-        log_peak = (self.log_match - self.log_clutter - _LOG_TWO_PI)[row] + np.log(r)
-        widened = plain
-        if wider is not None:
-            by_range, by_bearing = wider[row].T
-            both = np.sqrt(by_range * by_bearing)
-            widened = by_range * seen[5:8] + r * (both * seen[11:14] + r * by_bearing * seen[8:11]) + survey
-            log_peak -= 0.5 * np.log(determinant(plain) / determinant(widened))
-        return Pairs(pose, row, landmark, x, y, ex, ey, widened[0], widened[1], widened[2], log_peak, wider)
-
     def widening(self, row: IntArray, landmark: IntArray) -> FloatArray | None:
         """(n, 2) by how much to widen what was seen: as the longest known of the landmarks that it may be from there;
         None where all is news.
@@ -172,29 +104,34 @@ class ScanModel:
         d = np.maximum(np.hypot(dx, dy), _NEAREST_M)
         bearing = np.arctan2(dy, dx) - poses[:, 2:]
         error = np.empty((*matches.shape, 2))
-        error[..., 0], error[..., 1] = d - self.range_bearing[:, 0], wrap(bearing - self.range_bearing[:, 1])
+        error[..., 0], error[..., 1] = d - self.range_bearing[:, 0], _turned(bearing - self.range_bearing[:, 1])
         size = 3 if self.shared is None else 5
         jacobian = np.zeros((*matches.shape, 2, size))
         c, s = np.cos(bearing), np.sin(bearing)
         jacobian[..., 0, 0], jacobian[..., 0, 1] = -c, -s
         jacobian[..., 1, 0], jacobian[..., 1, 1], jacobian[..., 1, 2] = s / d, -c / d, -1.0
-        every = np.arange(matches.shape[1])
-        plain, widened = self._noise(self.covariance, every, matches, dx / d, dy / d, d, wider)
-        det = determinant(plain)
-        wrr, wrb, wbb = widened
+        own = self.covariance[:, 0, 0], self.covariance[:, 0, 1], self.covariance[:, 1, 1]
+        survey = None if self.survey is None else self._survey_as_seen(matches, dx / d, dy / d, d)
+        rr, rb, bb = _with(own, survey)
+        det = rr * bb - rb * rb
+        wrr, wrb, wbb, share = rr, rb, bb, matched / det
+        if wider is not None:
+            wrr, wrb, wbb = _with(_widened(own, wider[:, 0], wider[:, 1]), survey)
+            share = matched / (wrr * wbb - wrb * wrb)
         weight = np.empty((*matches.shape, 2, 2))
-        weight[..., 0, 0], weight[..., 1, 1] = wbb, wrr
-        weight[..., 0, 1] = weight[..., 1, 0] = -wrb
-        weight *= (matched / determinant(widened))[..., None, None]
+        weight[..., 0, 0], weight[..., 1, 1] = share * wbb, share * wrr
+        weight[..., 0, 1] = weight[..., 1, 0] = -share * wrb
         of_shared = None
         if self.shared is not None:
             by_range, by_bearing = self.shared.T
             jacobian[..., 0, 3], jacobian[..., 1, 4] = self.shared_widened.T
-            rr, rb, bb = plain
-            of_shared = np.stack([by_range**2 * bb, -by_range * by_bearing * rb, by_bearing**2 * rr], axis=-1)
-            of_shared = of_shared * (matched / det)[..., None]
-        peak = self.log_match - self.log_clutter - _LOG_TWO_PI - 0.5 * np.log(det)
-        return Terms(np.where(matched, peak, 0.0), error, weight, jacobian, of_shared)
+            of_shared = np.empty((*matches.shape, 3))
+            share = matched / det
+            of_shared[..., 0] = by_range * by_range * bb * share
+            of_shared[..., 1] = -by_range * by_bearing * rb * share
+            of_shared[..., 2] = by_bearing * by_bearing * rr * share
+        peak = np.where(matched, self.log_peak - 0.5 * np.log(det), 0.0)
+        return Terms(peak, error, weight, jacobian, of_shared)
 
     @cached_property
     def shared_widened(self) -> FloatArray:
@@ -207,17 +144,15 @@ class ScanModel:
         """(n, m): what may be what from one of the poses (h, 3) at least, by errors that are not widened."""
         errors = self.errors(poses, np.arange(len(self.positions)))
         gain = self.log_gains(errors, None, self.whole_covariance)
-        peak = self.log_match - self.log_clutter - _LOG_TWO_PI
         best = np.max(gain, axis=1, initial=-np.inf)
-        edge = peak - 0.5 * np.log(np.linalg.det(self.whole_covariance)) - 0.5 * self._gates
+        edge = self.log_peak - 0.5 * np.log(np.linalg.det(self.whole_covariance)) - 0.5 * self.gates
         return np.asarray(best > edge[:, None]) & self.may
 
     def errors(self, poses: FloatArray, landmarks: IntArray) -> Errors:
         """Of observations as landmarks (k,), at poses (h, 3)."""
         dx, dy = (self.positions[landmarks, k] - poses[:, k : k + 1] for k in (0, 1))
         d = np.maximum(np.hypot(dx, dy), _NEAREST_M)
-        by_bearing = (np.arctan2(dy, dx) - poses[:, 2:]) - self.range_bearing[:, 1:, None]
-        by_bearing -= 2 * np.pi * np.rint(by_bearing / (2 * np.pi))
+        by_bearing = _turned((np.arctan2(dy, dx) - poses[:, 2:]) - self.range_bearing[:, 1:, None])
         return Errors(landmarks, dx / d, dy / d, d, d - self.range_bearing[:, :1, None], by_bearing)
 
     def log_gains(self, errors: Errors, wider: FloatArray | None, covariance: FloatArray) -> FloatArray:
@@ -230,52 +165,36 @@ class ScanModel:
             out -= error_r * error_b * (2.0 * rb / det)
         out += error_b * error_b * (rr / det)
         out *= -0.5
-        peak = (self.log_match - self.log_clutter - _LOG_TWO_PI)[:, None, None]
-        out += peak - 0.5 * np.log(determinant(plain))
+        out += self.log_peak[:, None, None] - 0.5 * np.log(determinant(plain))
         return np.asarray(out)
 
     def noise_at(self, errors: Errors, wider: FloatArray | None, covariance: FloatArray) -> tuple[Upper, Upper]:
         """Covariances as they are and widened, (n, h, k) or what broadcasts to it."""
-        row = np.arange(len(self.range_bearing))[:, None, None]
-        return self._noise(covariance, row, errors.landmarks, errors.ux, errors.uy, errors.d, wider)
-
-    def _noise(
-        self,
-        covariance: FloatArray,
-        row: IntArray,
-        landmark: IntArray,
-        ux: FloatArray,
-        uy: FloatArray,
-        d: FloatArray,
-        wider: FloatArray | None,
-    ) -> tuple[Upper, Upper]:
-        """Of range and bearing (...), u the line of sight in the field: covariance as it is, and widened."""
-        rr, rb, bb = covariance[row, 0, 0], covariance[row, 0, 1], covariance[row, 1, 1]
-        wrr, wrb, wbb = rr, rb, bb
-        if wider is not None:
-            by_r, by_b = wider[row, 0], wider[row, 1]
-            wrr, wrb, wbb = rr * by_r, rb * np.sqrt(by_r * by_b), bb * by_b
+        own = covariance[:, 0, 0, None, None], covariance[:, 0, 1, None, None], covariance[:, 1, 1, None, None]
+        survey = None
         if self.survey is not None:
-            flat = self.survey[landmark].reshape(*np.shape(landmark), 4)
-            sxx, sxy, syy = flat[..., 0], flat[..., 1], flat[..., 3]
-            along = ux * ux * sxx + 2.0 * ux * uy * sxy + uy * uy * syy
-            mixed = (ux * uy * (syy - sxx) + (ux * ux - uy * uy) * sxy) / d
-            across = (uy * uy * sxx - 2.0 * ux * uy * sxy + ux * ux * syy) / d**2
-            rr, rb, bb = rr + along, rb + mixed, bb + across
-            wrr, wrb, wbb = wrr + along, wrb + mixed, wbb + across
-        return (rr, rb, bb), (wrr, wrb, wbb)
+            survey = self._survey_as_seen(errors.landmarks, errors.ux, errors.uy, errors.d)
+        plain = _with(own, survey)
+        if wider is None:
+            return plain, plain
+        return plain, _with(_widened(own, wider[:, 0, None, None], wider[:, 1, None, None]), survey)
 
-    def _landmarks_from(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x and y (h, m) of the landmarks in the frames of the poses (h, 3)."""
-        dx, dy = self.positions[:, 0] - poses[:, :1], self.positions[:, 1] - poses[:, 1:2]
-        c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-        return c * dx + s * dy, c * dy - s * dx
+    def _survey_as_seen(self, landmark: IntArray, ux: FloatArray, uy: FloatArray, d: FloatArray) -> Upper:
+        """The map's errors in range and bearing (...), u the line of sight in the field."""
+        assert self.survey is not None
+        flat = self.survey[landmark].reshape(*np.shape(landmark), 4)
+        sxx, sxy, syy = flat[..., 0], flat[..., 1], flat[..., 3]
+        return (
+            ux * ux * sxx + 2.0 * ux * uy * sxy + uy * uy * syy,
+            (ux * uy * (syy - sxx) + (ux * ux - uy * uy) * sxy) / d,
+            (uy * uy * sxx - 2.0 * ux * uy * sxy + ux * ux * syy) / d**2,
+        )
 
     @cached_property
     def points(self) -> tuple[FloatArray, FloatArray]:
         """Where landmarks were seen (n, 2), sensor's frame, and covariances (n, 2, 2) of that, not widened, up to the
         turn that they share."""
-        own = self._own if self.shared is None else moments(self.range_bearing, self._with_shared([1.0, 0.0]))
+        own = self.own if self.shared is None else moments(self.range_bearing, self._with_shared([1.0, 0.0]))
         r = own[2]
         xx, xy, yy = own[5:8] + r * (own[11:14] + r * own[8:11])
         return own[:2].T, np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
@@ -290,7 +209,32 @@ class ScanModel:
         return np.asarray(self.covariance + (self.shared**2 * share)[:, :, None] * np.eye(2))
 
     @cached_property
-    def _gates(self) -> FloatArray:
+    def named(self) -> IntArray | None:
+        """(n,) landmark of each observation, where their labels say so and none is there twice."""
+        row, landmark = self.candidates
+        n = len(self.range_bearing)
+        if len(row) != n or (row != np.arange(n)).any() or len(set(landmark.tolist())) != n:
+            return None
+        return landmark
+
+    @cached_property
+    def candidates(self) -> tuple[IntArray, IntArray]:
+        """Observations and the landmarks that they may be by their labels, (k,) each."""
+        row, landmark = np.nonzero(self.may)
+        return row, landmark
+
+    @cached_property
+    def seen_candidates(self) -> FloatArray:
+        """(14, k) `seen` of the candidates."""
+        return self.seen[:, self.candidates[0]]
+
+    @cached_property
+    def log_peak(self) -> FloatArray:
+        """(n,) log density without an error, relative to clutter, of a covariance of determinant 1."""
+        return self.log_match - self.log_clutter - _LOG_TWO_PI
+
+    @cached_property
+    def gates(self) -> FloatArray:
         return np.where(self.may.sum(axis=1) == 1, NAMED_GATE, GATE)
 
     @cached_property
@@ -298,9 +242,22 @@ class ScanModel:
         return bool((self.wider > 1.0).any())
 
     @cached_property
-    def _seen(self) -> FloatArray:
-        return self._own if self.shared is None else moments(self.range_bearing, self.whole_covariance)
+    def seen(self) -> FloatArray:
+        return self.own if self.shared is None else moments(self.range_bearing, self.whole_covariance)
 
     @cached_property
-    def _own(self) -> FloatArray:
+    def own(self) -> FloatArray:
         return moments(self.range_bearing, self.covariance)
+
+
+def _with(own: Upper, survey: Upper | None) -> Upper:
+    return own if survey is None else (own[0] + survey[0], own[1] + survey[1], own[2] + survey[2])
+
+
+def _widened(own: Upper, by_range: FloatArray, by_bearing: FloatArray) -> Upper:
+    return own[0] * by_range, own[1] * np.sqrt(by_range * by_bearing), own[2] * by_bearing
+
+
+def _turned(angle_rad: FloatArray) -> FloatArray:
+    """In [-pi, pi], faster than `wrap`."""
+    return np.asarray(angle_rad - 2 * np.pi * np.rint(angle_rad * (0.5 / np.pi)))

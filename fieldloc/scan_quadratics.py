@@ -20,6 +20,14 @@ from fieldloc.pose import FloatArray
 from fieldloc.scan_model import Terms
 
 
+class Freed(NamedTuple):
+    """What is shared, given the pose: covariance (c, 2, 2), and mean (c, 2, 4): minus its change with the pose's
+    tangent, then its value where that is zero."""
+
+    covariance: FloatArray
+    mean: FloatArray
+
+
 class Quadratics(NamedTuple):
     """constant (c,), gradient (c, k), information (c, k, k); k is 3, or 5 with the shared errors."""
 
@@ -27,18 +35,23 @@ class Quadratics(NamedTuple):
     gradient: FloatArray
     information: FloatArray
 
-    def of_pose(self) -> "Quadratics":
-        """Of the pose alone; what is shared only takes its freedom, `log_shared` is in the constant."""
+    def freed(self) -> Freed | None:
+        """None where nothing is shared."""
         if self.gradient.shape[1] == 3:
+            return None
+        covariance = _inverse_of_one_and(self.information[:, 3:, 3:])
+        both = np.concatenate([self.information[:, 3:, :3], self.gradient[:, 3:, None]], axis=-1)
+        return Freed(covariance, covariance @ both)
+
+    def of_pose(self, freed: Freed | None) -> "Quadratics":
+        """Of the pose alone; what is shared only takes its freedom, `log_shared` is in the constant."""
+        if freed is None:
             return self
-        shrunk = _inverse_of_one_and(self.information[:, 3:, 3:]) @ np.concatenate(
-            [self.information[:, 3:, :3], self.gradient[:, 3:, None]], axis=-1
-        )
-        across = self.information[:, :3, 3:]
+        pulled = self.information[:, :3, 3:] @ freed.mean
         return Quadratics(
-            self.constant + 0.5 * (self.gradient[:, 3:] * shrunk[..., 3]).sum(axis=1),
-            self.gradient[:, :3] - (across @ shrunk[..., 3:])[..., 0],
-            self.information[:, :3, :3] - across @ shrunk[..., :3],
+            self.constant + 0.5 * (self.gradient[:, 3:] * freed.mean[..., 3]).sum(axis=1),
+            self.gradient[:, :3] - pulled[..., 3],
+            self.information[:, :3, :3] - pulled[..., :3],
         )
 
 

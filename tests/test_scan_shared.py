@@ -12,6 +12,7 @@ from fieldloc.factors import LandmarkFactor, PoseFactor
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.fixes.landmarks import landmark_fix
 from fieldloc.measurements import LandmarkScan
+from fieldloc.mixture import Expansion
 from fieldloc.pose import FloatArray
 from fieldloc.scan_fix import scan_fixes, scan_misfit
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
@@ -150,7 +151,8 @@ def test_what_is_shared_is_taken_out_exactly() -> None:
     one = mixture(scan, field)
     sensor, which = se2.compose(POSE, MOUNT), field.positions[[0, 1, 3, 4]]
     terms = one.model.terms(sensor[None], np.array([[0, 1, 3, 4]]), None)
-    of_pose = quadratics(terms)[0].of_pose()
+    sums, _ = quadratics(terms)
+    of_pose = sums.of_pose(sums.freed())
     jacobian = central_difference(lambda d: expected_of(se2.retract(sensor, d), which), np.zeros(3))
     precision = np.linalg.inv(dense(scan.covariance, NOISE))
     np.testing.assert_allclose(of_pose.information[0], jacobian.T @ precision @ jacobian, rtol=1e-6)
@@ -193,6 +195,29 @@ def test_the_widened_density_has_the_peak_of_the_one_that_is_not() -> None:
         log_peaks(plain) - 0.5 * error @ np.linalg.solve(plain, error)
     )
     np.testing.assert_allclose(near.constant[whole], expected + prior, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("wider", [None, np.array([8.0, 3.0, 2.0, 5.0])])
+def test_what_follows_from_a_quadratic_is_the_same_worked_out_anew(name: str, wider: FloatArray | None) -> None:
+    one = mixture(*CASES[name], wider=wider)
+    near = one.expand(POSE[None], NARROW[None])
+    columns = near.parent, near.ids, near.constant, near.gradient, near.information, near.covariance
+    for carried, anew in zip(near.after, Expansion(*columns).after, strict=True):
+        np.testing.assert_allclose(carried, anew, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_pose_alone_is_expanded_as_one_of_many(name: str) -> None:
+    one = mixture(*CASES[name])
+    alone, many = one.expand(POSE[None], NARROW[None]), one.expand(np.tile(POSE, (2, 1)), np.tile(NARROW, (2, 1, 1)))
+    count = len(alone.ids)
+    assert count
+    assert len(many.ids) == 2 * count
+    of_first = np.flatnonzero(many.parent == 0)
+    np.testing.assert_array_equal(alone.ids, many.ids[of_first])
+    for ours, theirs in ((alone.constant, many.constant), (alone.gradient, many.gradient), (alone.step, many.step)):
+        np.testing.assert_allclose(ours, theirs[of_first], rtol=1e-7, atol=1e-9)
 
 
 def test_a_fix_is_that_of_least_squares_under_the_dense_covariance() -> None:
