@@ -110,7 +110,7 @@ class Expansion:
     def after(self) -> After:
         if self.known is not None:
             return self.known
-        shrink = np.linalg.inv(_IDENTITY + self.covariance @ self.information)
+        shrink = np.asarray(np.linalg.inv(_IDENTITY + self.covariance @ self.information), dtype=np.float64)
         updated = shrink @ self.covariance
         updated = 0.5 * (updated + updated.swapaxes(-1, -2))
         step = (updated @ self.gradient[:, :, None])[..., 0]

@@ -62,10 +62,16 @@ class SolutionMixture:
             first += len(weights)
         if len(parts) == 1:
             return parts[0]
-        columns = zip(
-            *((p.parent, p.ids, p.constant, p.gradient, p.information, p.covariance) for p in parts), strict=True
+        if not parts:
+            return _nothing()
+        return Expansion(
+            np.concatenate([part.parent for part in parts]),
+            np.concatenate([part.ids for part in parts]),
+            np.concatenate([part.constant for part in parts]),
+            np.concatenate([part.gradient for part in parts]),
+            np.concatenate([part.information for part in parts]),
+            np.concatenate([part.covariance for part in parts]),
         )
-        return Expansion(*(np.concatenate(column) for column in columns)) if parts else _nothing()
 
     def log_likelihood(self, poses: FloatArray) -> FloatArray:
         out = np.full(poses.shape[:-1], self.log_outlier)
