@@ -16,7 +16,6 @@ from fieldloc.locate.errors import (
     line_errors,
     post_errors,
     post_jacobians,
-    width_errors,
 )
 from fieldloc.locate.matching import Noise, match
 from fieldloc.locate.shape import shape_of
@@ -53,28 +52,26 @@ def test_turns_are_about_the_axes_told() -> None:
 def test_jacobians_are_those_of_the_errors(look: Look) -> None:
     sight = sight_of(Scene(NAO, FIELD, np.random.default_rng(0), 1e-4).seen(look), NAO)
     state = state_of(look)
-    matches = match(Cameras.at(state[None]), Noise(sight, SHAPE, LocateSettings(), 0.0, np.ones(1)))
+
+    def at(state: FloatArray) -> Cameras:
+        return Cameras.at(state[None], sight, SHAPE)
+
+    matches = match(at(state), Noise(sight, SHAPE, LocateSettings(), 0.0, np.ones(1)))
     assert (matches.lines >= 0).sum() > 2
     lines = np.maximum(matches.lines, 0)
-
-    def of_lines(at: FloatArray) -> FloatArray:
-        return line_errors(Cameras.at(at[None]), sight, SHAPE, lines)[0].ravel()
-
-    exact = line_errors(Cameras.at(state[None]), sight, SHAPE, lines)[1].reshape(-1, 7)[:, :6]
-    np.testing.assert_allclose(exact, central_difference(of_lines, state), atol=1e-2)  # of up to a thousand px
-    exact = width_errors(Cameras.at(state[None]), sight, SHAPE, lines)[1].reshape(-1, 7)[:, :6]
-    numeric = central_difference(lambda s: width_errors(Cameras.at(s[None]), sight, SHAPE, lines)[0].ravel(), state)
-    known = np.isfinite(sight.widths).ravel()
-    np.testing.assert_allclose(exact[known], numeric[known], atol=1e-2)
+    exact = line_errors(at(state), lines)[1].reshape(-1, 7)[:, :6]  # of ends and of widths
+    numeric = central_difference(lambda s: line_errors(at(s), lines)[0].ravel(), state)
+    known = np.stack([np.ones_like(sight.widths), np.isfinite(sight.widths)], axis=1).ravel() > 0.0
+    np.testing.assert_allclose(exact[known], numeric[known], atol=1e-2)  # of up to a thousand px
     if len(sight.post_rays):
         posts = np.maximum(matches.posts, 0)[..., None]
-        numeric = central_difference(lambda s: post_errors(Cameras.at(s[None]), sight, SHAPE, posts)[0].ravel(), state)
-        exact = post_jacobians(Cameras.at(state[None]), sight, SHAPE, posts).reshape(-1, 7)[:, :6]
+        numeric = central_difference(lambda s: post_errors(at(s), posts)[0].ravel(), state)
+        exact = post_jacobians(at(state), posts).reshape(-1, 7)[:, :6]
         np.testing.assert_allclose(exact, numeric, atol=5.0)  # a foot's place on the post turns with the camera's
     if len(sight.circle_rays):
         circle = SHAPE.circles[0]
-        numeric = central_difference(lambda s: circle_errors(Cameras.at(s[None]), sight, circle)[0].ravel(), state)
-        exact = circle_jacobians(Cameras.at(state[None]), sight, circle).reshape(-1, 7)[:, :6]
+        numeric = central_difference(lambda s: circle_errors(at(s), circle)[0].ravel(), state)
+        exact = circle_jacobians(at(state), circle).reshape(-1, 7)[:, :6]
         np.testing.assert_allclose(exact, numeric, atol=0.05)
 
 

@@ -7,6 +7,7 @@ for a focal length that is longer by a share: all that is seen should then be so
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,22 +23,28 @@ _SIDES = np.array([1.0, 1.0, -1.0, -1.0])  # of a post's four ends: left is coun
 _FAR_PX = 1e4  # what is off by more has no meaning as a number of pixels
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Cameras:
     """k states with what follows from them: field_from_camera (k, 3, 3), axes (k, 3, 3), centres (k, 3)."""
 
     states: FloatArray
+    sight: Sight
+    shape: Shape
     rotation: FloatArray
     axes: FloatArray
     centre: FloatArray
 
     @staticmethod
-    def at(states: FloatArray) -> "Cameras":
-        return Cameras(states, rotations(states), turn_axes(states), centres(states))
+    def at(states: FloatArray, sight: Sight, shape: Shape) -> "Cameras":
+        return Cameras(states, sight, shape, rotations(states), turn_axes(states), centres(states))
+
+    @cached_property
+    def lines(self) -> "Lines":
+        return Lines.of(self)
 
     def turned(self, vectors: FloatArray) -> FloatArray:
         """Vectors of the camera (n, ..., 3) in the field: (k, n, ..., 3)."""
-        flat = vectors.reshape(-1, 3) @ np.swapaxes(self.rotation, 1, 2)
+        flat = vectors.reshape(-1, 3) @ self.rotation.transpose(0, 2, 1)
         return np.asarray(flat.reshape(len(self.states), *vectors.shape))
 
     def columns(self, by_centre: FloatArray, by_turn: FloatArray, by_focal: FloatArray) -> FloatArray:
@@ -46,14 +53,40 @@ class Cameras:
         out = np.empty((*by_centre.shape[:-1], 7))
         out[..., 6] = by_focal
         out[..., :2], out[..., 3] = by_centre[..., :2], by_centre[..., 2]
-        flat = by_turn.reshape(len(self.states), -1, 3) @ np.swapaxes(self.axes, 1, 2)
+        flat = by_turn.reshape(len(self.states), -1, 3) @ self.axes.transpose(0, 2, 1)
         turns = flat.reshape(by_turn.shape)
         out[..., 2], out[..., 4:6] = turns[..., 0], turns[..., 1:]
         return out
 
 
-def line_normals(cameras: Cameras, shape: Shape) -> FloatArray:
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """Every end seen beside every line of the map. rays, across: (k, l, 2, 3) in the field; down: (k, l, 2) how much
+    the rays point down; normals: (k, m, 3) of the planes through the camera and each line; slope: (k, l, 2, m) their
+    distance's change with a pixel; error: (k, l, 2, m) px."""
+
+    rays: FloatArray
+    across: FloatArray
+    down: FloatArray
+    normals: FloatArray
+    slope: FloatArray
+    error: FloatArray
+
+    @staticmethod
+    def of(cameras: Cameras) -> "Lines":
+        sight, shape = cameras.sight, cameras.shape
+        both = cameras.turned(sight.line_both)  # (k, 2, l, 2, 3)
+        normals = line_normals(cameras)
+        size = (len(cameras.states), 2, len(sight.line_rays), 2, len(shape.starts))
+        off, slope = (both.reshape(size[0], -1, 3) @ normals.transpose(0, 2, 1)).reshape(size).transpose(1, 0, 2, 3, 4)
+        slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
+        error = np.minimum(np.maximum(off / slope, -_FAR_PX), _FAR_PX)
+        return Lines(both[:, 0], both[:, 1], -both[:, 0, ..., 2], normals, slope, error)
+
+
+def line_normals(cameras: Cameras) -> FloatArray:
     """(k, m, 3) of the planes through the camera and each line of the map, as long as the camera is off the line."""
+    shape = cameras.shape
     dx, dy = shape.directions.T
     away_x = shape.starts[:, 0] - cameras.centre[:, :1]
     away_y = shape.starts[:, 1] - cameras.centre[:, 1:2]
@@ -63,57 +96,34 @@ def line_normals(cameras: Cameras, shape: Shape) -> FloatArray:
     return out
 
 
-def all_line_errors(
-    cameras: Cameras, sight: Sight, shape: Shape
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Of every seen end to every line of the map: error (k, l, 2, m) px, pixels per metre across (k, l, 2, m); where on
-    the ground the ends are (k, l, 2, 2), the ground's metres per pixel there (k, l, 2), below the horizon (k, l, 2)."""
-    rays, across = cameras.turned(sight.line_rays), cameras.turned(sight.line_across)
-    normals = np.swapaxes(line_normals(cameras, shape), 1, 2)
-    size = (len(cameras.states), len(sight.line_rays), 2, len(shape.starts))
-    off = (rays.reshape(size[0], -1, 3) @ normals).reshape(size)
-    slope = (across.reshape(size[0], -1, 3) @ normals).reshape(size)
-    slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
-    down = -rays[..., 2]
-    below = down > 1e-3
-    reach = cameras.centre[:, 2, None, None] / np.where(below, down, 1e-3)
-    ground = cameras.centre[:, None, None, :2] + reach[..., None] * rays[..., :2]
-    per_px = reach / (np.maximum(down, 1e-3) * sight.focal_px)
-    error = np.clip(off / slope, -_FAR_PX, _FAR_PX)
-    return error, np.abs(down[..., None] / slope), ground, per_px, below
+def line_errors(cameras: Cameras, match: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of each seen line to its match (k, l): errors (k, l, 2, 2), Jacobian (k, l, 2, 2, 7), pixels per metre (k, l, 2).
 
-
-def line_errors(
-    cameras: Cameras, sight: Sight, shape: Shape, match: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of each seen line to its match (k, l): errors (k, l, 2), Jacobian (k, l, 2, 7), pixels per metre (k, l, 2)."""
-    rays, across = cameras.turned(sight.line_rays), cameras.turned(sight.line_across)
-    normals = line_normals(cameras, shape)[np.arange(len(match))[:, None], match][:, :, None, :]
-    slope = np.sum(across * normals, axis=-1)
-    slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
-    error = np.sum(rays * normals, axis=-1) / slope
+    First of both ends, in px, then of the widths there: the logarithm of what is seen to what is expected, NaN where it
+    is not seen.
+    """
+    lines, sight, shape = cameras.lines, cameras.sight, cameras.shape
+    row, column = np.arange(len(match))[:, None], np.arange(match.shape[1])
+    normals = lines.normals[row, match][:, :, None, :]
+    slope = lines.slope[row, column, :, match]
+    per_m = np.abs(lines.down / slope)
+    error = np.empty((*match.shape, 2, 2))
+    error[:, :, 0] = lines.error[row, column, :, match]
+    error[:, :, 1] = np.log(sight.widths / np.maximum(per_m * shape.line_width_m, _TINY))
     direction = np.zeros((*match.shape, 1, 3))
     direction[..., 0, :2] = shape.directions[match]
-    scale = slope[..., None]
-    jacobian = cameras.columns(-cross(direction, rays) / scale, cross(rays, normals) / scale, -sight.line_out)
-    return np.clip(error, -_FAR_PX, _FAR_PX), jacobian, np.abs(rays[..., 2] / slope)
-
-
-def width_errors(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Of the widths at both ends of each seen line to those of its match (k, l): logarithm of seen to expected
-    (k, l, 2), NaN where not seen, and its Jacobian (k, l, 2, 7)."""
-    rays, across = cameras.turned(sight.line_rays), cameras.turned(sight.line_across)
-    normals = line_normals(cameras, shape)[np.arange(len(match))[:, None], match][:, :, None, :]
-    slope = np.sum(across * normals, axis=-1)
-    slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
-    down = np.minimum(rays[..., 2], -1e-3)
-    expected = np.maximum(np.abs(down / slope) * shape.line_width_m, _TINY)
-    direction = np.zeros((*match.shape, 1, 3))
-    direction[..., 0, :2] = shape.directions[match]
-    level = np.stack([rays[..., 1], -rays[..., 0], np.zeros(down.shape)], axis=-1)  # rays x up
-    by_centre = -cross(direction, across) / slope[..., None]
-    by_turn = cross(across, normals) / slope[..., None] - level / down[..., None]
-    return np.log(sight.widths / expected), cameras.columns(by_centre, by_turn, -np.ones(down.shape))
+    rays, across = lines.rays, lines.across
+    both = np.empty((*match.shape, 2, 2, 3))
+    both[:, :, 0], both[:, :, 1] = rays, across
+    scale = slope[:, :, None, :, None]
+    by_centre = cross(both, direction[:, :, None]) / scale
+    by_turn = cross(both, normals[:, :, None]) / scale
+    down = np.maximum(lines.down, 1e-3)
+    by_turn[:, :, 1, :, 0] += rays[..., 1] / down  # rays x up
+    by_turn[:, :, 1, :, 1] -= rays[..., 0] / down
+    by_focal = np.empty((match.shape[1], 2, 2))
+    by_focal[:, 0], by_focal[:, 1] = -sight.line_out, -1.0
+    return error, cameras.columns(by_centre, by_turn, by_focal), per_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +142,8 @@ class _Posts:
     slope: FloatArray
 
     @staticmethod
-    def of(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -> "_Posts":
+    def of(cameras: Cameras, match: IntArray) -> "_Posts":
+        sight, shape = cameras.sight, cameras.shape
         away = shape.posts[match] - cameras.centre[:, None, None, :2]
         far = np.sqrt(np.maximum(away[..., 0] ** 2 + away[..., 1] ** 2, 1e-6))
         towards = away / far[..., None]
@@ -158,23 +169,23 @@ class _Posts:
         return out
 
 
-def post_errors(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def post_errors(cameras: Cameras, match: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Of each seen post to landmarks (k, p, q): errors (k, p, q, 6) of the four ends of its edges and its foot's two
     coordinates, and whether the landmark stands before the camera. A foot that is not seen is right."""
-    posts = _Posts.of(cameras, sight, shape, match)
+    posts = _Posts.of(cameras, match)
     ahead = posts.rays[..., 0] * posts.x + posts.rays[..., 1] * posts.y
     error = np.empty((*match.shape, 6))
     off = (posts.rays[..., 1] * posts.x - posts.rays[..., 0] * posts.y) / posts.slope
     error[..., :4] = np.clip(off, -_FAR_PX, _FAR_PX)
-    at_foot, before = point_errors(cameras, sight.feet, posts.feet(cameras))
-    known = sight.feet.known[:, None]
+    at_foot, before = point_errors(cameras, cameras.sight.feet, posts.feet(cameras))
+    known = cameras.sight.feet.known[:, None]
     error[..., 4:] = np.where(known[..., None], at_foot, 0.0)
     return error, (ahead > 0.0).all(axis=-1) & (before | ~known)
 
 
-def post_jacobians(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray) -> FloatArray:
+def post_jacobians(cameras: Cameras, match: IntArray) -> FloatArray:
     """(k, p, q, 6, 7) of `post_errors`."""
-    posts = _Posts.of(cameras, sight, shape, match)
+    posts = _Posts.of(cameras, match)
     ahead = posts.rays[..., 0] * posts.x + posts.rays[..., 1] * posts.y
     normal = np.zeros((*posts.x.shape, 3))
     normal[..., 0], normal[..., 1] = -posts.y, posts.x
@@ -185,9 +196,9 @@ def post_jacobians(cameras: Cameras, sight: Sight, shape: Shape, match: IntArray
     by_centre[..., :2] = (-ahead / posts.slope)[..., None] * (past + nearer) / posts.far[..., None, None]
     jacobian = np.zeros((*match.shape, 6, 7))
     by_turn = cross(posts.rays, normal) / posts.slope[..., None]
-    jacobian[..., :4, :] = cameras.columns(by_centre, by_turn, -sight.post_out[:, None])
-    by_state = point_jacobians(cameras, sight.feet, posts.feet(cameras))
-    jacobian[..., 4:, :] = np.where(sight.feet.known[:, None, None, None], by_state, 0.0)
+    jacobian[..., :4, :] = cameras.columns(by_centre, by_turn, -cameras.sight.post_out[:, None])
+    by_state = point_jacobians(cameras, cameras.sight.feet, posts.feet(cameras))
+    jacobian[..., 4:, :] = np.where(cameras.sight.feet.known[:, None, None, None], by_state, 0.0)
     return jacobian
 
 
@@ -216,21 +227,21 @@ def _seen_points(
     return np.where(before, along, 1.0), before, cameras.turned(points.by_ray)[:, :, None]
 
 
-def circle_errors(cameras: Cameras, sight: Sight, circle: FloatArray) -> tuple[FloatArray, FloatArray]:
+def circle_errors(cameras: Cameras, circle: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Of the circle's points to a circle (3,) of the map: errors (k, c), pixels per metre (k, c); what is above the
     horizon is off by far."""
-    seen = _SeenCircle.of(cameras, sight, circle)
+    seen = _SeenCircle.of(cameras, circle)
     error = np.clip((seen.far - circle[2]) / seen.scale, -_FAR_PX, _FAR_PX)
     return np.where(seen.below, error, _FAR_PX), 1.0 / seen.scale
 
 
-def circle_jacobians(cameras: Cameras, sight: Sight, circle: FloatArray) -> FloatArray:
+def circle_jacobians(cameras: Cameras, circle: FloatArray) -> FloatArray:
     """(k, c, 7) of `circle_errors`."""
-    seen = _SeenCircle.of(cameras, sight, circle)
+    seen = _SeenCircle.of(cameras, circle)
     scale = seen.scale[..., None]
     by_centre = np.empty_like(seen.rays)
     by_centre[..., :2], by_centre[..., 2] = seen.radial, seen.outward
-    by_focal = -np.einsum("kcp,cp->kc", seen.slope, sight.circle_out) / seen.scale
+    by_focal = -np.einsum("kcp,cp->kc", seen.slope, cameras.sight.circle_out) / seen.scale
     jacobian = cameras.columns(by_centre / scale, cross(seen.rays, seen.by_ray) / scale, by_focal)
     return np.where(seen.below[..., None], jacobian, 0.0)
 
@@ -251,7 +262,8 @@ class _SeenCircle:
     scale: FloatArray
 
     @staticmethod
-    def of(cameras: Cameras, sight: Sight, circle: FloatArray) -> "_SeenCircle":
+    def of(cameras: Cameras, circle: FloatArray) -> "_SeenCircle":
+        sight = cameras.sight
         rays = cameras.turned(sight.circle_rays)
         below = rays[..., 2] < -1e-3
         down = np.where(below, -rays[..., 2], 1.0)

@@ -4,12 +4,13 @@ What is none of the map's is anywhere: a line's two ends across it anywhere in t
 So gains of different things add up and compare, and a gain below zero is no match.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fieldloc.locate.errors import Cameras, IntArray, all_line_errors, circle_errors, post_errors
+from fieldloc.locate.errors import Cameras, IntArray, circle_errors, post_errors
 from fieldloc.locate.settings import LocateSettings
 from fieldloc.locate.shape import Shape
 from fieldloc.locate.sight import Sight
@@ -48,6 +49,11 @@ class Matches:
             self.circle[rows],
             self.circle_gains[rows],
         )
+
+    def without_posts(self, rows: NDArray[np.bool_]) -> "Matches":
+        """In rows (k,) no post is matched."""
+        posts, gains = np.where(rows[:, None], -1, self.posts), np.where(rows[:, None], 0.0, self.post_gains)
+        return replace(self, posts=posts, post_gains=gains)
 
     def and_also(self, other: "Matches") -> "Matches":
         return Matches(
@@ -117,35 +123,42 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     count, lines = len(cameras.states), len(sight.line_rays)
     if not lines or not len(shape.starts):
         return np.full((count, lines), -1), np.zeros((count, lines))
-    error, px_per_m, ground, m_per_px, below = all_line_errors(cameras, sight, shape)
+    seen = cameras.lines
+    px_per_m = np.abs(seen.down[..., None] / seen.slope)
+    below = seen.down > 1e-3
+    down = np.maximum(seen.down, 1e-3)
+    reach = cameras.centre[:, 2, None, None] / down
+    ground = cameras.centre[:, None, None, :2] + reach[..., None] * seen.rays[..., :2]
+    m_per_px = reach / (down * sight.focal_px)
     model = noise.of_lines(px_per_m)
     a = model[:, :, 0] + sight.line_noise[:, 0, 0, None]
     b = sight.line_noise[:, 0, 1, None]
     c = model[:, :, 1] + sight.line_noise[:, 1, 1, None]
     determinant = a * c - b * b
-    first, second = error[:, :, 0], error[:, :, 1]
+    first, second = seen.error[:, :, 0], seen.error[:, :, 1]
     misfit = (c * first * first - 2.0 * b * first * second + a * second * second) / determinant
-    along = ground @ shape.directions.T - np.sum(shape.starts * shape.directions, axis=1)
+    along = ground @ shape.directions.T - shape.starts_along
     over = np.maximum(np.maximum(-along, along - shape.lengths), 0.0)
-    over = over / (_OVER_M + (_OVER_PX + noise.widen_px) * m_per_px[..., None])
-    misfit = misfit + np.minimum((over * over).sum(axis=2), 1e6)
-    log_density = -0.5 * misfit - 0.5 * np.log(determinant) - _LOG_2PI
+    over /= (_OVER_M + (_OVER_PX + noise.widen_px) * m_per_px)[..., None]
+    misfit += np.minimum(over[:, :, 0] * over[:, :, 0] + over[:, :, 1] * over[:, :, 1], 1e6)
+    gain = -0.5 * (misfit + np.log(determinant)) - _LOG_2PI
     before = below[:, :, 0] & below[:, :, 1]
-    gain = np.where(before[..., None], log_density, -np.inf)
-    best = np.argmax(gain, axis=2)
+    best = gain.argmax(axis=2)
+    row, column = np.arange(count)[:, None], np.arange(lines)
     log_clutter = -2.0 * np.log(sight.camera.height_px)
     log_odds = np.log((1.0 - settings.false_line) / settings.false_line) - np.log(len(shape.starts))
-    gains = np.take_along_axis(gain, best[..., None], axis=2)[..., 0] - log_clutter + log_odds
-    gains = gains + _widths_fit(noise, np.take_along_axis(px_per_m, best[:, :, None, None], axis=3)[..., 0])
+    gains = gain[row, column, best] - log_clutter + log_odds + _widths_fit(noise, px_per_m[row, column, :, best])
+    gains = np.where(before, gains, 0.0)
     best, gains = np.where(gains > 0.0, best, -1), np.maximum(gains, 0.0)
     arc = _arcs_fit(noise, ground, m_per_px) - log_clutter + log_odds
-    return np.where(before & (arc > gains), ARC, best), np.where(before & (arc > gains), arc, gains)
+    is_arc = before & (arc > gains)
+    return np.where(is_arc, ARC, best), np.where(is_arc, arc, gains)
 
 
 def _arcs_fit(noise: Noise, ground: FloatArray, m_per_px: FloatArray) -> FloatArray:
     """(k, l) log density of both ends (k, l, 2, 2) of lines that are short pieces of one of the circles."""
     out = np.full(ground.shape[:2], -np.inf)
-    chord = np.hypot(*np.moveaxis(ground[:, :, 1] - ground[:, :, 0], -1, 0))
+    chord = np.hypot(ground[:, :, 1, 0] - ground[:, :, 0, 0], ground[:, :, 1, 1] - ground[:, :, 0, 1])
     sigma_px = _ARC_PX + noise.widen_px
     for x, y, radius in noise.shape.circles:
         away = np.hypot(ground[..., 0] - x, ground[..., 1] - y) - radius
@@ -174,7 +187,7 @@ def _match_posts(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     if not posts or not marks:
         return np.full((count, posts), -1), np.zeros((count, posts))
     choices = np.broadcast_to(np.arange(marks), (count, posts, marks))
-    error, ahead = post_errors(cameras, sight, shape, choices)
+    error, ahead = post_errors(cameras, choices)
     whitening = noise.whitening_of_posts
     white = error @ np.swapaxes(whitening, -1, -2)
     misfit = np.sum(white * white, axis=-1)
@@ -207,7 +220,7 @@ def _match_circle(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]
     log_clutter = -np.log(sight.camera.height_px)
     numbers = min(_CIRCLE_NUMBERS, float(points))
     for row, circle in enumerate(noise.shape.circles):
-        error, px_per_m = circle_errors(cameras, sight, circle)
+        error, px_per_m = circle_errors(cameras, circle)
         variance = noise.of_circle(px_per_m)
         each = -0.5 * np.minimum(error * error / variance, 1e6) - 0.5 * (np.log(variance) + _LOG_2PI) - log_clutter
         gain = numbers * each.mean(axis=1) + log_odds

@@ -1,7 +1,6 @@
 """From one picture's detections to every pose of the camera that explains them, with probabilities."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -10,9 +9,7 @@ from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
 from fieldloc.locate.attitude import attitudes
 from fieldloc.locate.candidates import candidates
-from fieldloc.locate.errors import Cameras
 from fieldloc.locate.hypotheses import Hypothesis, Located
-from fieldloc.locate.matching import match
 from fieldloc.locate.prior import CameraPrior
 from fieldloc.locate.refine import linearise, stepped
 from fieldloc.locate.settings import LocateSettings
@@ -27,8 +24,7 @@ _ROUGH_PX = 12.0  # by how much candidates are off
 _ANNEALED_PX = (10.0, 10.0, 5.0, 2.0)  # by how much they may be off, step by step
 _SHARPER = 0.25
 _LAST_STEPS = 2
-_DOUBTED = 4  # states are fitted without their posts, too,
-_DOUBTED_PX = (4.0, 1.0, 0.0)  # so much off
+_DOUBTED, _DOUBTING_PX = 4, 5.0  # states are fitted without their posts, too, from then on
 _MARGIN = 35.0  # so much worse than the best is hopeless among candidates
 _MARGINS = (60.0, 60.0, 40.0, 30.0)  # and among refined states: the right one stands out the more the sharper one looks
 _NEGLIGIBLE = 1e-4
@@ -60,34 +56,25 @@ def locate(
 
 def _refined(task: Task, states: FloatArray) -> FloatArray:
     """Matched with ever less tolerance, and fitted; those that are left at the end."""
+    doubted = np.zeros(len(states), dtype=np.bool_)
     for widen_px, margin in zip(_ANNEALED_PX, _MARGINS, strict=True):
-        matches, scores = task.matched(states, widen_px)
-        rows = task.best(states, scores, len(states), margin)
-        states, matches = states[rows], matches.take(rows)
+        matches, scores = task.matched(states, widen_px, doubted)
+        rows = task.best(states, scores, len(states), margin, doubted)
+        if widen_px == _DOUBTING_PX:
+            # what stands beside the field and looks like a post keeps a fit from where all else would have it
+            again = rows[:_DOUBTED][(matches.posts[rows[:_DOUBTED]] >= 0).any(axis=1)]
+            rows, doubted = np.append(rows, again), np.arange(len(rows) + len(again)) >= len(rows)
+            matches = matches.take(rows).without_posts(doubted)
+        else:
+            doubted, matches = doubted[rows], matches.take(rows)
         # who is who is seen with tolerance, but where that is weighs against the prior as it will in the end
         sharp = task.noise(_SHARPER * widen_px)
-        states = stepped(states, linearise(Cameras.at(states), sharp, matches, task.prior))
-    states = np.concatenate([states, _without_posts(task, states)])
+        states = stepped(states[rows], linearise(task.cameras(states[rows]), sharp, matches, task.prior))
     for _ in range(_LAST_STEPS):
         matches, scores = task.matched(states)
         rows = task.best(states, scores, task.settings.hypotheses, _MARGINS[-1])
         states, matches = states[rows], matches.take(rows)
-        states = stepped(states, linearise(Cameras.at(states), task.noise(), matches, task.prior))
-    return states
-
-
-def _without_posts(task: Task, states: FloatArray) -> FloatArray:
-    """The best of the states, fitted to all but the posts they are matched with: what stands beside the field and looks
-    like a post keeps a fit from where all else would have it."""
-    matches, scores = task.matched(states)
-    rows = np.argsort(-scores, kind="stable")[:_DOUBTED]
-    rows = rows[(matches.posts[rows] >= 0).any(axis=1) & (scores[rows] > scores.max(initial=0.0) - _MARGIN)]
-    states = states[rows]
-    for widen_px in _DOUBTED_PX if len(rows) else ():
-        noise = task.noise(widen_px)
-        matches = match(Cameras.at(states), noise)
-        matches = replace(matches, posts=np.full_like(matches.posts, -1), post_gains=np.zeros_like(matches.post_gains))
-        states = stepped(states, linearise(Cameras.at(states), noise, matches, task.prior))
+        states = stepped(states, linearise(task.cameras(states), task.noise(), matches, task.prior))
     return states
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldloc.locate.errors import (
     Cameras,
@@ -11,7 +12,6 @@ from fieldloc.locate.errors import (
     line_errors,
     post_errors,
     post_jacobians,
-    width_errors,
 )
 from fieldloc.locate.matching import Matches, Noise
 from fieldloc.locate.prior import CameraPrior
@@ -68,23 +68,26 @@ def linearise(
 
     used = (matches.lines >= 0).astype(np.float64)
     if used.any():
-        error, jacobian, px_per_m = line_errors(cameras, sight, shape, np.maximum(matches.lines, 0))
-        model = noise.of_lines(px_per_m)
+        error, jacobian, px_per_m = line_errors(cameras, np.maximum(matches.lines, 0))
+        variances, together, known = _line_noise(noise, px_per_m, used)
         # the lower Cholesky factor of [[a, b], [b, c]], row by row
-        a = np.sqrt(model[..., 0] + sight.line_noise[:, 0, 0])
-        b = sight.line_noise[:, 0, 1] / a
-        c = np.sqrt(model[..., 1] + sight.line_noise[:, 1, 1] - b * b)
+        a = np.sqrt(variances[..., 0])
+        b = together / a
+        c = np.sqrt(variances[..., 1] - b * b)
         error[..., 0] /= a
         error[..., 1] = (error[..., 1] - b * error[..., 0]) / c
         jacobian[..., 0, :] /= a[..., None]
         jacobian[..., 1, :] = (jacobian[..., 1, :] - b[..., None] * jacobian[..., 0, :]) / c[..., None]
-        add(error, jacobian, used, np.full(used.shape[1], 2.0))
-        add(*_of_widths(cameras, noise, matches, used))
+        error[:, ~known, 1] = 0.0
+        both = np.repeat(used, 2, axis=1)
+        both[:, 1::2] *= known
+        sizes = np.tile([2.0, 0.0], used.shape[1])  # widths determine no pose beside their lines
+        add(error.reshape(count, -1, 2), jacobian.reshape(count, -1, 2, 7), both, sizes)
     used = (matches.posts >= 0).astype(np.float64)
     if used.any():
         row = np.maximum(matches.posts, 0)[..., None]
-        error, _ = post_errors(cameras, sight, shape, row)
-        jacobian = post_jacobians(cameras, sight, shape, row)
+        error, _ = post_errors(cameras, row)
+        jacobian = post_jacobians(cameras, row)
         whitening = noise.whitening_of_posts
         add(
             (whitening @ error[:, :, 0, :, None])[..., 0],
@@ -96,8 +99,8 @@ def linearise(
         used = (matches.circle == row_of_map).astype(np.float64)
         if not used.any():
             continue
-        error, px_per_m = circle_errors(cameras, sight, circle)
-        jacobian = circle_jacobians(cameras, sight, circle)
+        error, px_per_m = circle_errors(cameras, circle)
+        jacobian = circle_jacobians(cameras, circle)
         sigma = np.sqrt(noise.of_circle(px_per_m))
         points = error.shape[1]
         each = np.repeat(used[:, None], points, axis=1)
@@ -123,28 +126,24 @@ def linearise(
     return Step(information, gradient, by_focal, np.einsum("ki,ki->k", off, pulled), numbers)
 
 
-def _of_widths(
-    cameras: Cameras, noise: Noise, matches: Matches, used: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """What widths of lines say of how far they are: whitened errors (k, l, 2), Jacobian (k, l, 2, 7), where they count
-    (k, l), and their size (l,): zero, as they determine no pose beside their lines."""
+def _line_noise(
+    noise: Noise, px_per_m: FloatArray, used: FloatArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Variances (k, l, 2, 2) of lines' ends, px^2, and of the logarithms of their widths there; covariances (k, l, 2)
+    of one end with the other; whether the widths count (l,)."""
     sight = noise.sight
-    known = np.isfinite(sight.widths).all(axis=1) & (np.nan_to_num(sight.widths).min(axis=1) > _LEAST_WIDTH_PX)
+    variances, together = np.empty((*used.shape, 2, 2)), np.empty((*used.shape, 2))
+    variances[:, :, 0] = noise.of_lines(px_per_m) + sight.line_noise.diagonal(axis1=1, axis2=2)
+    together[..., 0] = sight.line_noise[:, 0, 1]
+    known = np.asarray(
+        np.isfinite(sight.widths).all(axis=1) & (np.nan_to_num(sight.widths).min(axis=1) > _LEAST_WIDTH_PX)
+    )
     widths, sigmas = np.where(known[:, None], sight.widths, 1.0), np.where(known[:, None], sight.width_sigmas, 1.0)
-    error, jacobian = width_errors(cameras, sight, noise.shape, np.maximum(matches.lines, 0))
-    error = np.where(known[:, None], np.nan_to_num(error), 0.0)
-    used = used * known
     own = (sigmas**2 + _BLUR_PX**2 + noise.widen_px**2) / widths**2 + _UNEVEN**2
     # one brush painted all lines of a field: that it is too wide is seen as often as there are lines, and is one error
-    together = np.maximum(used.sum(axis=1), 1.0)[:, None] * _PAINTED**2
-    a = np.sqrt(own[:, 0] + together)
-    b = together / a
-    c = np.sqrt(own[:, 1] + together - b * b)
-    first = error[..., 0] / a
-    error = np.stack([first, (error[..., 1] - b * first) / c], axis=-1)
-    row = jacobian[..., 0, :] / a[..., None]
-    jacobian = np.stack([row, (jacobian[..., 1, :] - b[..., None] * row) / c[..., None]], axis=-2)
-    return error, jacobian, used, np.zeros(len(widths))
+    together[..., 1] = np.maximum((used * known).sum(axis=1), 1.0)[:, None] * _PAINTED**2
+    variances[:, :, 1] = own + together[..., 1, None]
+    return variances, together, known
 
 
 def stepped(states: FloatArray, step: Step) -> FloatArray:

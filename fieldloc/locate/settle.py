@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldloc import pose as se2
-from fieldloc.locate.errors import Cameras, IntArray
+from fieldloc.locate.errors import IntArray
 from fieldloc.locate.evidence import log_missed
 from fieldloc.locate.matching import Matches, Noise, match
 from fieldloc.locate.refine import linearise, stepped
@@ -59,7 +59,7 @@ def settle(task: Task, states: FloatArray) -> Settled:
     if len(pieces):
         matches = whole.matches.take(parents)
         for _ in range(_STEPS):
-            pieces = stepped(pieces, linearise(Cameras.at(pieces), task.noise(), matches, task.prior, windows))
+            pieces = stepped(pieces, linearise(task.cameras(pieces), task.noise(), matches, task.prior, windows))
         whole = whole.take(np.setdiff1d(np.arange(len(whole.states)), parents)).and_also(
             _settled(task, pieces, windows)
         )
@@ -75,9 +75,9 @@ def _settled(task: Task, states: FloatArray, windows: Windows) -> Settled:
     noise = Noise(task.sight, shape, settings, 0.0, np.tile(_AMOUNTS, count))
     windows = windows.repeat(amounts)
     fitted = np.repeat(states, amounts, axis=0)
-    matches = match(Cameras.at(states), task.noise()).take(np.repeat(np.arange(count), amounts))
-    fitted = stepped(fitted, linearise(Cameras.at(fitted), noise, matches, prior, windows))
-    cameras = Cameras.at(fitted)
+    matches = match(task.cameras(states), task.noise()).take(np.repeat(np.arange(count), amounts))
+    fitted = stepped(fitted, linearise(task.cameras(fitted), noise, matches, prior, windows))
+    cameras = task.cameras(fitted)
     matches = match(cameras, noise)
     step = linearise(cameras, noise, matches, prior, windows)
     covariances = np.linalg.inv(step.information)
@@ -102,6 +102,8 @@ def _settled(task: Task, states: FloatArray, windows: Windows) -> Settled:
     covariance = covariance + by_focal @ np.swapaxes(by_focal, 1, 2)
     # what is near each other on the map is off it together, so no place is known better than the map
     covariance[:, [0, 1], [0, 1]] += ((systematic * settings.map_m) ** 2)[:, None]
-    matches = matches.take(rows)
-    missed = log_missed(Cameras.at(fitted[rows]), task.sight, shape, matches, settings)
-    return Settled(fitted[rows], covariance, matches, log_evidence + missed).take(np.flatnonzero(good))
+    good = np.flatnonzero(good & (log_evidence > log_evidence.max(initial=-np.inf) - _MARGIN))
+    rows = rows[good]
+    states, matches = fitted[rows], matches.take(rows)
+    missed = log_missed(task.cameras(states), task.sight, shape, matches, settings)
+    return Settled(states, covariance[good], matches, log_evidence[good] + missed)

@@ -17,7 +17,8 @@ _ALONG = np.cos(np.radians(0.2))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """starts, directions: (m, 2) of the lines, unit directions; lengths: (m,). families: (m,) 0 for lines along the
+    """starts, directions: (m, 2) of the lines, unit directions; lengths: (m,). starts_along: (m,) the starts'
+    coordinate along the directions. families: (m,) 0 for lines along the
     grid's x, 1 along its y, -1 askew; offsets: (m,) the other coordinate in grid axes. grid_rad: the grid's heading.
     posts: (q, 2), radii: (q,), heights: (q,), square: whether their section is. partners: (q,) the post that a crossbar
     joins it to, itself where none does. circles: (c, 3). marks: (n, 2). box: (4,) where a robot can be.
@@ -26,6 +27,7 @@ class Shape:
     starts: FloatArray
     directions: FloatArray
     lengths: FloatArray
+    starts_along: FloatArray
     families: NDArray[np.intp]
     offsets: FloatArray
     grid_rad: float
@@ -67,6 +69,7 @@ def shape_of(field: FieldMap) -> Shape:
         lines[:, 0],
         directions,
         lengths,
+        np.sum(lines[:, 0] * directions, axis=1),
         families,
         offsets,
         grid_rad,

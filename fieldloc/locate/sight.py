@@ -69,6 +69,9 @@ class Sight:
     circle_sigmas: FloatArray
     marks: Points
 
+    line_both: FloatArray
+    """(2, l, 2, 3): line_rays, line_across."""
+
     @property
     def focal_px(self) -> float:
         return 0.5 * (self.camera.fx_px + self.camera.fy_px)
@@ -119,6 +122,7 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
         circle_out,
         circle_sigmas,
         marks.take(marks.known),
+        np.stack([line_rays[good], line_across[good]]),
     )
 
 

@@ -1,6 +1,6 @@
 """What all steps of one picture's location share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,22 +24,40 @@ class Task:
     shape: Shape
     prior: CameraPrior
     settings: LocateSettings
+    _noises: dict[float, Noise] = field(default_factory=dict, init=False, repr=False)
+
+    def cameras(self, states: FloatArray) -> Cameras:
+        return Cameras.at(states, self.sight, self.shape)
 
     def noise(self, widen_px: float = 0.0) -> Noise:
-        return Noise(self.sight, self.shape, self.settings, widen_px, np.ones(1))
+        if widen_px not in self._noises:  # they remember what they made of the posts
+            self._noises[widen_px] = Noise(self.sight, self.shape, self.settings, widen_px, np.ones(1))
+        return self._noises[widen_px]
 
     def score(self, states: FloatArray, matches: Matches) -> FloatArray:
         """(k,) how well states explain what they are matched with."""
         off = states[:, 3:] - self.prior.mean
         return np.asarray(matches.gains - 0.5 * np.sum(off @ self.prior.precision * off, axis=1))
 
-    def matched(self, states: FloatArray, widen_px: float = 0.0) -> tuple[Matches, FloatArray]:
-        matches = match(Cameras.at(states), self.noise(widen_px))
+    def matched(
+        self, states: FloatArray, widen_px: float = 0.0, doubted: NDArray[np.bool_] | None = None
+    ) -> tuple[Matches, FloatArray]:
+        """doubted: (k,) states whose posts are matched with none."""
+        matches = match(self.cameras(states), self.noise(widen_px))
+        if doubted is not None and doubted.any():
+            matches = matches.without_posts(doubted)
         return matches, self.score(states, matches)
 
-    def best(self, states: FloatArray, scores: FloatArray, most: int, margin: float) -> NDArray[np.intp]:
+    def best(
+        self,
+        states: FloatArray,
+        scores: FloatArray,
+        most: int,
+        margin: float,
+        kinds: NDArray[np.bool_] | None = None,
+    ) -> NDArray[np.intp]:
         """Rows of at most so many, best first, none worse than the best by more than the margin, no two of which are
-        the same place or its twin."""
+        the same place or its twin. kinds: (k,) those that differ in it are not the same."""
         order = np.argsort(-scores, kind="stable")[: _LOOKED_AT * most]
         order = order[scores[order] > scores[order[:1]] - margin]
         poses = states[order, :3]
@@ -48,6 +66,8 @@ class Task:
             off = se2.compose(turn, poses)[:, None] - poses
             near = off[..., 0] ** 2 + off[..., 1] ** 2 < _SAME_M**2
             same |= near & (np.abs(se2.wrap(off[..., 2])) < _SAME_RAD)
+        if kinds is not None:
+            same &= kinds[order, None] == kinds[order]
         kept: list[int] = []
         taken = np.zeros(len(order), dtype=np.bool_)
         for i in range(len(order)):
