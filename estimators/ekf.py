@@ -14,7 +14,7 @@ from estimators.config import Config
 from estimators.divergence import Restart
 from estimators.legs import Legs
 from estimators.motion import STANDSTILL, HeldVelocity
-from estimators.views import CALIBRATION, EXTRA, LATE, OFFSET, SIZE, View, Views, of_factor, prior
+from estimators.views import CALIBRATION, LATE, OFFSET, SIZE, View, Views, of_factor, prior
 from fieldloc import pose as se2
 from fieldloc.covariance import propagate, squared_mahalanobis
 from fieldloc.factors import Factor, HeadingFactor, PoseFactor
@@ -139,6 +139,7 @@ class Ekf:
         step = self._filter.x
         self._pose = se2.retract(self._pose, step[:3])
         self._extra = self._extra + step[3:]
-        reset = block_diag(se2.right_jacobian(step[:3]), np.eye(EXTRA))
-        self._filter.P = reset @ self._filter.P @ reset.T
+        turned = se2.right_jacobian(step[:3])
+        self._filter.P[:3] = turned @ self._filter.P[:3]
+        self._filter.P[:, :3] = self._filter.P[:, :3] @ turned.T
         self._filter.x = np.zeros(SIZE)

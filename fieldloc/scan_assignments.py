@@ -126,7 +126,7 @@ def _best(parent: IntArray, score: FloatArray, h: int) -> IntArray:
 
 def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
     """(n,) landmark of each observation, -1 for none, in the best assignment from one pose (3,)."""
-    pairs = pairs_of(model, pose[None], np.zeros((1, 3, 3)))
+    pairs = pairs_of(model, pose[None], None)
     xx, xy, yy = pairs.xx, pairs.xy, pairs.yy
     if model.shared is not None:
         by_range, by_bearing = model.shared_widened[pairs.row].T
@@ -137,9 +137,14 @@ def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
         yy = yy + by_range**2 * s * s + across2 * c * c
     det = xx * yy - xy**2
     misfit = (yy * pairs.ex**2 - 2.0 * xy * pairs.ex * pairs.ey + xx * pairs.ey**2) / det
+    worth = pairs.log_peak - 0.5 * (np.log(det) + misfit)
+    out = np.full(len(model.range_bearing), -1)
+    if model.named is not None:
+        good = worth > 0.0
+        out[pairs.row[good]] = pairs.landmark[good]
+        return out
     gain = np.zeros(model.may.shape)
-    gain[pairs.row, pairs.landmark] = np.maximum(pairs.log_peak - 0.5 * (np.log(det) + misfit), 0.0)
+    gain[pairs.row, pairs.landmark] = np.maximum(worth, 0.0)
     row, landmark = linear_sum_assignment(gain, maximize=True)
-    out = np.full(len(gain), -1)
     out[row] = np.where(gain[row, landmark] > 0.0, landmark, -1)
     return out

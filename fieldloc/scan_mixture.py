@@ -10,8 +10,10 @@ Once it is known what the sensor covers, each assignment also has the probabilit
 others are not seen; what is all clutter or not right has that of a robot that may be anywhere.
 """
 
+import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,13 +29,15 @@ from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import likeliest
 from fieldloc.scan_coverage import Misses
 from fieldloc.scan_expansion import expand
-from fieldloc.scan_factors import landmark_factors, seen_in_robot
+from fieldloc.scan_factors import landmark_factors
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
 from fieldloc.scan_fix import scan_fixes, scan_misfit
 from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
+from fieldloc.scan_moments import determinant, upper
 from fieldloc.scan_noise import AS_STATED, ScanNoise
 
+_ANY, _NONE = -1, -2  # instead of a landmark's index: it has no label, or one that is not on the map
 _RING_STEPS = 24
 _NO_ERROR = 1e-3  # of a variance
 _MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFix
@@ -228,68 +232,78 @@ def scan_mixture(
     None where no landmark can be of the map. Left out are landmarks with a label that is not on the map, and numbers
     that no sensor can mean. ValueError for a covariance that is not positive definite.
     """
-    index = [None if label is None else field.index_of(label) for label in scan.labels]
-    sound = np.isfinite(scan.range_bearing).all(axis=1) & (scan.range_bearing[:, 0] > 0.0)
-    rows = [
-        row
-        for row, label in enumerate(scan.labels)
-        if sound[row] and (label is None or index[row] is not None) and len(field.landmarks)
-    ]
-    if not rows:
-        return None
-    covariance = scan.covariance[rows]
-    if not (np.linalg.det(covariance) > 0.0).all() or not (covariance[:, 0, 0] > 0.0).all():
-        raise ValueError("covariance of a range and bearing is not positive definite")
-    used = LandmarkScan(
-        scan.stamp_ns,
-        tuple(scan.labels[row] for row in rows),
-        scan.range_bearing[rows],
-        covariance,
-        scan.robot_from_sensor,
+    on_map = _on_map(field)
+    seen, m = scan.range_bearing, len(field.landmarks)
+    index = np.array(
+        [_ANY if label is None else on_map.index.get(label, _NONE) for label in scan.labels], dtype=np.intp
     )
+    rows = np.flatnonzero((index != _NONE) & np.isfinite(seen).all(axis=1) & (seen[:, 0] > 0.0))
+    if not len(rows) or not m:
+        return None
+    used = scan
+    if len(rows) < len(index):
+        index, labels = index[rows], tuple(scan.labels[row] for row in rows)
+        used = LandmarkScan(scan.stamp_ns, labels, seen[rows], scan.covariance[rows], scan.robot_from_sensor)
+    covariance = used.covariance
+    if not ((determinant(upper(covariance)) > 0.0) & (covariance[:, 0, 0] > 0.0)).all():
+        raise ValueError("covariance of a range and bearing is not positive definite")
     own, shared = noise.of(covariance)
-    m = len(field.landmarks)
-    may = np.array([np.arange(m) == index[row] if index[row] is not None else np.ones(m, dtype=bool) for row in rows])
-    x_min, y_min, x_max, y_max = field.bounds
-    farthest = max(float(np.hypot(x_max - x_min, y_max - y_min)), float(used.range_bearing[:, 0].max()))
-    log_anywhere = -np.log(2 * np.pi * farthest)
-    log_clutter = np.full(len(rows), np.log(detection.clutter) + log_anywhere)
+    may = (np.arange(m) == index[:, None]) | (index[:, None] == _ANY)
+    r = used.range_bearing[:, 0]
+    log_anywhere = -math.log(2 * math.pi * max(on_map.diagonal_m, float(r.max())))
+    log_clutter = np.full(len(rows), math.log(detection.clutter) + log_anywhere)
+    rr, rb, bb = upper(own)
+    # half the smaller variance at least of where one was seen
+    smallest = (rr * bb - rb * rb) * r * r / (rr + r * r * bb)
+    # a map whose errors are nothing beside the scan's is as good as exact, which saves a third of the work
+    matters = on_map.survey_m2 > _NO_ERROR * smallest.min()
     model = ScanModel(
         used.range_bearing,
         own,
         may,
         field.positions,
-        _survey_that_matters(field.positions_covariance, replace(used, covariance=own)),
+        field.positions_covariance if matters else None,
         np.log1p(-detection.clutter) - np.log(may.sum(axis=1)),
         log_clutter,
         wider,
         shared,
         np.ones(2) if wider_shared is None else wider_shared,
     )
-    named = field.positions[[i for i in (index[row] for row in rows) if i is not None]].reshape(-1, 2)
-    moved = np.asarray(se2.apply(field.symmetries[:, None], named) - named)
+    symmetric, named = True, index[index != _ANY]
+    if len(named) and len(field.symmetries):
+        moved = se2.apply(field.symmetries[:, None], field.positions[named]) - field.positions[named]
+        symmetric = not (np.abs(moved) > 1e-6).any()
+    log_all_clutter = float(log_clutter.sum())
     return ScanMixture(
         scan.stamp_ns,
         used,
         field,
         model,
-        float(np.log1p(-detection.nothing_right) + log_clutter.sum()),
+        math.log1p(-detection.nothing_right) + log_all_clutter,
         float(
             np.logaddexp(
-                np.log(detection.nothing_right) + len(rows) * log_anywhere,
-                np.log1p(-detection.nothing_right) + log_clutter.sum(),
+                math.log(detection.nothing_right) + len(rows) * log_anywhere,
+                math.log1p(-detection.nothing_right) + log_all_clutter,
             )
             + (0.0 if misses is None else misses.log_anywhere)
         ),
-        symmetric=not (np.abs(moved) > 1e-6).any(),
+        symmetric=symmetric,
         misses=misses,
     )
 
 
-def _survey_that_matters(survey: FloatArray, scan: LandmarkScan) -> FloatArray | None:
-    """None where the map's errors are nothing beside the scan's, which saves a third of the work."""
-    if not survey.any():
-        return None
-    _, seen = seen_in_robot(scan)
-    smallest = np.linalg.det(seen) / np.trace(seen, axis1=-2, axis2=-1)  # half the smaller variance at least
-    return survey if np.trace(survey, axis1=-2, axis2=-1).max() > _NO_ERROR * smallest.min() else None
+class _OnMap(NamedTuple):
+    """index: by label. diagonal_m: of the whole map. survey_m2: variance of a landmark's place, the largest."""
+
+    index: dict[str, int]
+    diagonal_m: float
+    survey_m2: float
+
+
+@lru_cache(maxsize=16)
+def _on_map(field: FieldMap) -> _OnMap:
+    """Of a map that is compared by identity."""
+    x_min, y_min, x_max, y_max = field.bounds
+    survey_m2 = float(np.trace(field.positions_covariance, axis1=-2, axis2=-1).max(initial=0.0))
+    index = {label: i for i, label in enumerate(field.labels)}
+    return _OnMap(index, math.hypot(x_max - x_min, y_max - y_min), survey_m2)

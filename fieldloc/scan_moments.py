@@ -25,6 +25,11 @@ def determinant(upper: Upper | FloatArray) -> FloatArray:
     return np.asarray(xx * yy - xy * xy)
 
 
+def upper(covariances: FloatArray) -> Upper:
+    """(xx, xy, yy) of (..., 2, 2)."""
+    return covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
+
+
 def upper_of(covariances: FloatArray) -> tuple[FloatArray, ...]:
     """Six numbers (...) of (..., 3, 3)."""
     flat = covariances.reshape(*covariances.shape[:-2], 9)
