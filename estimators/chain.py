@@ -134,6 +134,14 @@ class ChainRecorder:
         """A mixture at a stamp that `advance` has reached."""
         self._mixtures.append((self._node_at(stamp_ns, None), mixture))
 
+    def move(self, motions: Sequence[Increment]) -> None:
+        """Between all nodes so far, in place of what was added up."""
+        self._motions = list(motions)
+
+    @property
+    def stamps_ns(self) -> Sequence[int]:
+        return self._stamps_ns
+
     def recorded(self) -> Recorded:
         return Recorded(tuple(self._stamps_ns), tuple(self._motions), tuple(self._factors), tuple(self._mixtures))
 

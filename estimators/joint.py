@@ -4,12 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators import chain_engine
 from estimators.chain import Chain, Recorded
+from estimators.chosen import Chosen
 from estimators.compass_knots import at_nodes, knot_s
 from estimators.config import Config
+from estimators.copies import Moved
 from estimators.engines import solver
+from estimators.linearised import squared_errors
 from estimators.solution import MOTION_FLOOR, Solution, global_means, global_sigmas
 from estimators.stretches import Story
 from fieldloc import pose as se2
@@ -26,6 +30,7 @@ _POINT = 1e-9 * np.eye(3)
 _ROUGHLY = np.diag([0.1, 0.1, 0.05]) ** 2
 _BELIEVED = 0.3  # share of a compass reading's information below which it is taken for disturbed
 _TIE = 1e-6
+_SAME = 1e-4  # m, rad: poses that an observation is as likely from, up to some thousandth
 NO_KERNEL = 1e6  # scale, in sigmas, of a robust kernel that does nothing
 
 
@@ -33,18 +38,23 @@ NO_KERNEL = 1e6  # scale, in sigmas, of a robust kernel that does nothing
 class Settled:
     """choices: (t,) solutions, -1 for none, each the best in the light of all others; breaks: as in Story.
 
-    margins: (t,) by how much (log) each choice is better than the next best."""
+    margins: (t,) by how much (log) each choice is better than the next best; looked_at: (t, 3) the poses that this was
+    found at, as the mixtures are about them."""
 
     choices: IntArray
     breaks: tuple[int, ...]
     chain: Chain
     solution: Solution
     margins: FloatArray
+    looked_at: FloatArray
 
 
-def settle(recorded: Recorded, story: Story, config: Config, near: Solution | None = None) -> Settled:
-    """near: a solution whose poses are the story's. By the chain engine, as this is done for many stories and often."""
-    return _Settling(recorded, story, config).settled(story, near)
+def settle(
+    recorded: Recorded, story: Story, config: Config, near: Settled | None = None, chosen: Chosen | None = None
+) -> Settled:
+    """near: settled before in much the same way, so that the poses are the story's. By the chain engine, as this is
+    done for many stories and often."""
+    return _Settling(recorded, story, config, near, Chosen() if chosen is None else chosen).settled()
 
 
 def without_kernel(config: Config) -> Config:
@@ -60,86 +70,84 @@ def finished(settled: Settled, config: Config) -> Settled:
 
 
 class _Settling:
-    def __init__(self, recorded: Recorded, story: Story, config: Config) -> None:
-        self._recorded, self._config = recorded, config
+    def __init__(self, recorded: Recorded, story: Story, config: Config, near: Settled | None, chosen: Chosen) -> None:
+        self._recorded, self._story, self._config, self._near, self._of = recorded, story, config, near, chosen
         self._choices, self._margins = story.choices.copy(), story.margins.copy()
-        self._factors: dict[tuple[int, int], tuple[Factor, ...]] = {}
+        mixtures = [mixture for _, mixture in recorded.mixtures]
+        self._nodes = np.array([node for node, _ in recorded.mixtures], dtype=np.intp)
+        self._by_sight = np.array([mixture.by_sight for mixture in mixtures], dtype=bool)
         # of the compass, the tracks say nothing but how much to believe of it
-        self._compass = [i for i, (_, mixture) in enumerate(recorded.mixtures) if mixture.by_compass]
-        self._looked_at = story.poses.copy()
+        self._by_compass = np.array([mixture.by_compass for mixture in mixtures], dtype=bool)
+        self._looked_at = story.poses[self._nodes] if near is None else near.looked_at.copy()
 
-    def settled(self, story: Story, near: Solution | None) -> Settled:
-        poses, compass = story.poses, self._compass if near is None else []
-        self._choose(compass, poses, poses, np.broadcast_to(_ROUGHLY, (len(poses), 3, 3)), *self._offsets(None))
-        for first in (True, *(_ROUNDS - 1) * (False,)):
+    def settled(self) -> Settled:
+        story, known, solution = (
+            self._story,
+            self._near is not None,
+            None if self._near is None else self._near.solution,
+        )
+        poses, compass = story.poses, [] if known else np.flatnonzero(self._by_compass).tolist()
+        roughly = np.broadcast_to(_ROUGHLY, (len(self._nodes), 3, 3))
+        self._choose(compass, self._about(poses, poses, np.zeros(len(poses))), roughly, self._offsets(None)[1])
+        for first in (not known, *(_ROUNDS - 1) * (False,)):
             chain = self._recorded.chain(self._choices, story.breaks, poses, self.chosen)
-            if near is None and self._config.graph.cauchy < NO_KERNEL:
+            if solution is None and self._config.graph.cauchy < NO_KERNEL:
                 # while eyes and odometry are taken to be perfect, what fits badly may be right
-                near = chain_engine.solve(chain, without_kernel(self._config))
-                chain = replace(chain, guess=near.poses)
-            near = chain_engine.solve(chain, self._config, near)
-            poses = near.poses
-            out = Settled(self._choices.copy(), story.breaks, chain, near, self._margins.copy())
-            seen_from = chain.seen_from(near.poses, near.calibration, near.sensor)
-            doubtful = self._doubtful(near, seen_from, first)
-            changed = self._choose(doubtful, poses, seen_from, near.covariances, *self._offsets(near))
+                solution = chain_engine.solve(chain, without_kernel(self._config))
+                chain = replace(chain, guess=solution.poses)
+            solution = chain_engine.solve(chain, self._config, solution)
+            poses = solution.poses
+            out = Settled(
+                self._choices.copy(), story.breaks, chain, solution, self._margins.copy(), self._looked_at.copy()
+            )
+            offsets, variances = self._offsets(solution)
+            about = self._about(poses, chain.seen_from(poses, solution.calibration, solution.sensor), offsets)
+            doubtful = self._doubtful(chain, about, solution.covariances[self._nodes], first)
+            changed = self._choose(doubtful, about, solution.covariances[self._nodes], variances)
             if not changed or not self._recorded.anchored(self._choices, story.breaks):
                 break
         return out
 
     def chosen(self, index: int, choice: int) -> tuple[Factor, ...]:
         """The factors of a mixture's solution."""
-        if (index, choice) not in self._factors:
-            self._factors[index, choice] = self._recorded.mixtures[index][1].chosen(choice)
-        return self._factors[index, choice]
+        return self._of(self._recorded.mixtures[index][1], choice)
+
+    def _about(self, poses: FloatArray, seen_from: FloatArray, offsets: FloatArray) -> FloatArray:
+        """(t, 3) the pose that each mixture is about."""
+        out = np.where(self._by_sight[:, None], seen_from[self._nodes], poses[self._nodes])
+        out[:, 2] += np.where(self._by_compass, offsets[self._nodes], 0.0)
+        return out
 
     def _offsets(self, solution: Solution | None) -> tuple[FloatArray, FloatArray]:
         known = (np.zeros(0),) * 2 if solution is None else (solution.compass_rad, solution.compass_variance_rad2)
         return at_nodes(self._recorded.stamps_ns, *known, self._config.compass)
 
-    def _doubtful(self, solution: Solution, seen_from: FloatArray, first: bool) -> list[int]:
+    def _doubtful(self, chain: Chain, about: FloatArray, covariances: FloatArray, first: bool) -> list[int]:
         """Mixtures to look at again: unsure ones if their poses have moved since, those that fit badly."""
-        out = []
-        moved = se2.local(self._looked_at, solution.poses)
-        distance = np.sum(moved * np.linalg.solve(solution.covariances, moved[..., None])[..., 0], axis=-1)
-        for index, (node, mixture) in enumerate(self._recorded.mixtures):
-            choice = int(self._choices[index])
-            unsure = self._margins[index] < _SURE or choice < 0 or mixture.by_compass
-            if (unsure and (first or distance[node] > _MOVED)) or (
-                choice >= 0 and self._misfit(index, choice, (seen_from if mixture.by_sight else solution.poses)[node])
-            ):
-                out.append(index)
-        return out
+        moved = se2.local(self._looked_at, about)
+        distance = np.sum(moved * np.linalg.solve(covariances, moved[..., None])[..., 0], axis=-1)
+        unsure = (self._margins < _SURE) | (self._choices < 0) | self._by_compass
+        taken = np.flatnonzero(self._choices >= 0)
+        factors = [self.chosen(index, int(self._choices[index])) for index in taken.tolist()]
+        owner = np.repeat(taken, [len(each) for each in factors])
+        squares, gates = squared_errors([factor for each in factors for factor in each], about[owner], GATES)
+        misfit = np.zeros(len(about), dtype=bool)
+        misfit[owner[squares > gates]] = True
+        return np.flatnonzero((unsure & (first | (distance > _MOVED))) | misfit).tolist()
 
-    def _misfit(self, index: int, choice: int, pose: FloatArray) -> bool:
-        for factor in self.chosen(index, choice):
-            error = factor.error(pose)
-            if error @ np.linalg.solve(factor.covariance, error) > GATES[len(error)]:
-                return True
-        return False
-
-    def _choose(
-        self,
-        which: list[int],
-        poses: FloatArray,
-        seen_from: FloatArray,
-        covariances: FloatArray,
-        offsets: FloatArray,
-        variances: FloatArray,
-    ) -> bool:
+    def _choose(self, which: list[int], about: FloatArray, covariances: FloatArray, variances: FloatArray) -> bool:
         """The best solution of each of these mixtures, in the light of all others; whether one changed.
 
-        Where the eyes were is taken to be known as well as where the robot is: their calibration is a whole log's.
+        about, covariances: of each mixture's pose. variances: of the compass' offset at the nodes. Where the eyes were
+        is taken to be known as well as where the robot is: their calibration is a whole log's.
         """
         changed = False
         for index in which:
-            node, mixture = self._recorded.mixtures[index]
             before = int(self._choices[index])
-            self._looked_at[node] = poses[node]
-            pose, covariance = (seen_from if mixture.by_sight else poses)[node], covariances[node]
-            if mixture.by_compass:
-                pose = pose + [0.0, 0.0, offsets[node]]
-                covariance = covariance + np.diag([0.0, 0.0, variances[node]])
+            self._looked_at[index] = about[index]
+            pose, covariance = about[index], covariances[index]
+            if self._by_compass[index]:
+                covariance = covariance + np.diag([0.0, 0.0, variances[self._nodes[index]]])
             elif before >= 0:
                 pose, covariance = cavity(self.chosen(index, before), pose, covariance, self._config.graph.cauchy)
             after, self._margins[index] = self._best(index, pose, covariance, before)
@@ -190,16 +198,50 @@ def log_evidence(recorded: Recorded, settled: Settled, config: Config, log_kidna
     the volume under it. log_kidnap: log of the rate (1/s) of being carried times the density of places (1/(m^2 rad)) to
     be carried to. The density of the first pose is left to the caller.
     """
-    solution, poses = settled.solution, settled.solution.poses
+    return log_evidences([recorded], [settled], config, log_kidnap)[0]
+
+
+def log_evidences(logs: Sequence[Recorded], ways: Sequence[Settled], config: Config, log_kidnap: float) -> list[float]:
+    """Of several ways to read the same log, on whatever copies of the field."""
+    abouts = [_about(recorded, settled, config) for recorded, settled in zip(logs, ways, strict=True)]
+    out = [
+        _log_peak(recorded, settled, config, log_kidnap, seen_from)
+        for recorded, settled, (_, seen_from) in zip(logs, ways, abouts, strict=True)
+    ]
+    for index in np.flatnonzero(_differing(logs, ways, [about for about, _ in abouts])).tolist():
+        mixtures = [recorded.mixtures[index][1] for recorded in logs]
+        poses = np.array([about[index] for about, _ in abouts])
+        choices = [int(settled.choices[index]) for settled in ways]
+        out = [total + term for total, term in zip(out, _log_terms(mixtures, choices, poses), strict=True)]
+    return out
+
+
+def _differing(logs: Sequence[Recorded], ways: Sequence[Settled], abouts: Sequence[FloatArray]) -> NDArray[np.bool_]:
+    """(t,) which mixtures do not say the same of all the ways; all of them where there is but one."""
+    out = np.full(len(ways[0].choices), len(ways) == 1)
+    for recorded, settled, about in zip(logs[1:], ways[1:], abouts[1:], strict=True):
+        pairs = zip(logs[0].mixtures, recorded.mixtures, strict=True)
+        out |= np.array([one is not other for (_, one), (_, other) in pairs], dtype=bool)
+        out |= settled.choices != ways[0].choices
+        out |= (np.abs(se2.local(abouts[0], about)) > _SAME).any(axis=1)
+    return out
+
+
+def _about(recorded: Recorded, settled: Settled, config: Config) -> tuple[FloatArray, FloatArray]:
+    """(t, 3) the pose that each mixture is about; (n, 3) where the eyes were."""
+    solution, nodes = settled.solution, np.array([node for node, _ in recorded.mixtures], dtype=np.intp)
     offsets, _ = at_nodes(recorded.stamps_ns, solution.compass_rad, solution.compass_variance_rad2, config.compass)
-    offset = offsets[:, None] * [0.0, 0.0, 1.0]
-    seen_from = settled.chain.seen_from(poses, solution.calibration, solution.sensor)
-    total = sum(
-        _log_term(
-            mixture, int(choice), (seen_from if mixture.by_sight else poses)[node] + offset[node] * mixture.by_compass
-        )
-        for (node, mixture), choice in zip(recorded.mixtures, settled.choices, strict=True)
-    )
+    seen_from = settled.chain.seen_from(solution.poses, solution.calibration, solution.sensor)
+    by_sight = np.array([mixture.by_sight for _, mixture in recorded.mixtures], dtype=bool)
+    by_compass = np.array([mixture.by_compass for _, mixture in recorded.mixtures], dtype=bool)
+    about = np.where(by_sight[:, None], seen_from[nodes], solution.poses[nodes])
+    about[:, 2] += np.where(by_compass, offsets[nodes], 0.0)
+    return about, seen_from
+
+
+def _log_peak(recorded: Recorded, settled: Settled, config: Config, log_kidnap: float, seen_from: FloatArray) -> float:
+    """All of a log's evidence but that of its mixtures."""
+    solution, poses, total = settled.solution, settled.solution.poses, 0.0
     for node, factor in recorded.factors:
         error = factor.error((seen_from if is_by_sight(factor) else poses)[node])
         total -= 0.5 * float(error @ np.linalg.solve(factor.covariance, error))
@@ -229,16 +271,25 @@ def log_evidence(recorded: Recorded, settled: Settled, config: Config, log_kidna
     return total + 0.5 * dimensions * float(np.log(2 * np.pi)) - 0.5 * solution.log_determinant
 
 
-def _log_term(mixture: MixtureFactor, choice: int, pose: FloatArray) -> float:
-    """log p(observation, choice | pose)."""
-    if mixture.by_compass:  # disturbances are in the middle of it
-        return float(mixture.log_likelihood(pose[None])[0])
-    if choice >= 0:
-        near = mixture.expand(pose[None], _POINT[None])
-        row = np.flatnonzero(near.ids == choice)
-        if len(row):
-            return float(near.constant[row[0]])
-    return mixture.log_outlier
+def _log_terms(mixtures: Sequence[MixtureFactor], choices: Sequence[int], poses: FloatArray) -> list[float]:
+    """log p(observation, choice | pose) for each choice at its pose: of one observation, on its copies of the field."""
+    stills = [mixture.still if isinstance(mixture, Moved) else mixture for mixture in mixtures]
+    at = np.array(
+        [
+            se2.compose(se2.inverse(mixture.by), pose) if isinstance(mixture, Moved) else pose
+            for mixture, pose in zip(mixtures, poses, strict=True)
+        ]
+    )
+    still = stills[0]
+    assert all(other is still for other in stills)
+    if still.by_compass:  # disturbances are in the middle of it
+        return [float(value) for value in still.log_likelihood(at)]
+    out = [still.log_outlier] * len(at)
+    if max(choices) >= 0:
+        near = still.expand(at, np.broadcast_to(_POINT, (len(at), 3, 3)))
+        for row in np.flatnonzero(near.ids == np.array(choices)[near.parent]):
+            out[near.parent[row]] = float(near.constant[row])
+    return out
 
 
 def _log_normal(values: FloatArray, sigmas: FloatArray) -> float:

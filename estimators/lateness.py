@@ -13,6 +13,7 @@ import numpy as np
 
 from estimators import chain_engine
 from estimators.chain import Chain, Recorded
+from estimators.chosen import Chosen
 from estimators.config import Config
 from estimators.joint import Settled, finished, settle
 from estimators.motion import Increment
@@ -76,7 +77,9 @@ def found(recorded: Recorded, chain: Chain, breaks: Sequence[int], near: Solutio
     return lateness
 
 
-def settled_in_time(recorded: Recorded, story: Story, answer: Settled, config: Config) -> Settled:
+def settled_in_time(
+    recorded: Recorded, story: Story, answer: Settled, config: Config, chosen: Chosen | None = None
+) -> Settled:
     """answer: how it was settled under `against_odometry(config)`. The same with motions as late as they were.
 
     Only the sum of both delays is known well: the poses may be late by what that leaves open, and so may the eyes.
@@ -84,7 +87,7 @@ def settled_in_time(recorded: Recorded, story: Story, answer: Settled, config: C
     solution = answer.solution
     lateness = found(recorded, answer.chain, answer.breaks, solution, config)
     story = replace(story, choices=answer.choices, margins=answer.margins, breaks=answer.breaks, poses=solution.poses)
-    out = finished(settle(later(recorded, lateness.late_s), story, config, solution), config)
+    out = finished(settle(later(recorded, lateness.late_s), story, config, answer, chosen), config)
     solution = out.solution
     velocities = out.chain.velocities(np.array(solution.calibration))
     open_ = velocities[:, :, None] * velocities[:, None, :] * lateness.sigma_s**2

@@ -4,7 +4,7 @@ What is minimised is 0.5 |rows @ step - towards|^2 over all rows, for the step o
 are in estimators.solution. A compass' readings are not in it (estimators.compass_knots).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple, TypeVar, cast
 
@@ -142,6 +142,20 @@ class Linearised:
             error = _times(group.whiteners, _errors(group.stack, se2.retract(poses[group.nodes], turned)))
             out += self._cauchy**2 * np.sum(np.log1p(np.sum(error**2, axis=-1) / self._cauchy**2))
         return 0.5 * float(out)
+
+
+def squared_errors(
+    factors: Sequence[Factor], poses: FloatArray, gates: Mapping[int, float]
+) -> tuple[FloatArray, FloatArray]:
+    """(k,) of each factor at its own pose (k, 3), in its sigmas; the gates by how many numbers it is of."""
+    squares, limits = np.zeros(len(factors)), np.zeros(len(factors))
+    kinds = [type(factor) for factor in factors]
+    for kind in dict.fromkeys(kinds):
+        rows = np.array([row for row, other in enumerate(kinds) if other is kind])
+        group = _group(rows.tolist(), [factors[row] for row in rows])
+        error = _times(group.whiteners, _errors(group.stack, poses[rows]))
+        squares[rows], limits[rows] = np.sum(error**2, axis=-1), gates[error.shape[1]]
+    return squares, limits
 
 
 def _grouped(factors: Sequence[tuple[int, Factor]]) -> list[Group]:

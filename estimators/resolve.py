@@ -13,9 +13,10 @@ import numpy as np
 
 from estimators.breaks import was_carried, was_put_back
 from estimators.chain import Recorded
+from estimators.chosen import Chosen
 from estimators.config import Config
 from estimators.copies import Moved
-from estimators.joint import Settled, finished, log_evidence, settle, without_kernel
+from estimators.joint import Settled, finished, log_evidences, settle, without_kernel
 from estimators.lateness import against_odometry, may_be_late, settled_in_time
 from estimators.mixture.lost import Lost
 from estimators.modes import ModeSequence
@@ -81,12 +82,12 @@ def resolve(
         return None
     plain = without_kernel(config)
     logs = [_on_field(recorded, story, begun) for story in ways]
-    settled, evidence = [], []
-    for log, story in logs if len(logs) > 1 else ():
-        one = settle(log, story, plain)
-        begins = _log_start(region, anywhere, one.solution.poses[0], one.solution.covariances[0])
-        settled.append(one)
-        evidence.append(log_evidence(log, one, plain, log_kidnap - _SURELY) + begins)
+    settled, evidence, chosen = [], [], Chosen()
+    if len(logs) > 1:
+        settled = [settle(log, story, plain, chosen=chosen) for log, story in logs]
+        begins = [_log_start(region, anywhere, one.solution.poses[0], one.solution.covariances[0]) for one in settled]
+        evidence = log_evidences([log for log, _ in logs], settled, plain, log_kidnap - _SURELY)
+        evidence = [one + other for one, other in zip(evidence, begins, strict=True)]
     if stayed := [i for i, one in enumerate(settled) if not was_put_back(logs[i][0], one)]:
         ways, logs = [ways[i] for i in stayed], [logs[i] for i in stayed]
         settled, evidence = [settled[i] for i in stayed], [evidence[i] for i in stayed]
@@ -101,20 +102,20 @@ def resolve(
             poses=near.solution.poses,
             breaks=tuple(node for node in near.breaks if was_carried(log, near, node)),
         )
-        answer = settle(log, story, config, near.solution)
+        answer = settle(log, story, config, near, chosen)
     else:
-        answer = settle(log, story, config)
+        answer = settle(log, story, config, chosen=chosen)
         settled, evidence = [answer], [0.0]
-    answer = settled_in_time(log, story, answer, told_config) if late else finished(answer, config)
+    answer = settled_in_time(log, story, answer, told_config, chosen) if late else finished(answer, config)
     stamps_ns = recorded.stamps_ns
-    order, log_evidences = _ranked(settled, np.array(evidence), best)
+    order, ranked = _ranked(settled, np.array(evidence), best)
     return Resolution(
         answer.solution,
         answer.choices,
         tuple(put_down_ns(*(stamps_ns[k] for k in recorded.between(answer.choices, node))) for node in answer.breaks),
         tuple(settled[i] for i in order),
-        log_evidences,
-        np.exp(log_evidences - np.logaddexp.reduce(log_evidences)),
+        ranked,
+        np.exp(ranked - np.logaddexp.reduce(ranked)),
         *_copies(recorded, replace(ways[best], breaks=story.breaks), tracks, log_start, copies),
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -14,9 +15,9 @@ from estimators.legs import as_noisy
 from estimators.mixture.filter import MixtureFilter
 from estimators.mixture.lost import UNKNOWN
 from estimators.modes import ModeSequence
-from estimators.motion import HeldVelocity
 from estimators.resolve import resolve
 from estimators.resolved import Resolution
+from estimators.said import Said
 from estimators.solution import Solution
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, PoseFactor
@@ -43,7 +44,8 @@ class Smoother:
         self._region = UNKNOWN
         self._told: Estimate | None = None
         self._odometry: Odometry | None = None
-        self._motion = HeldVelocity(config.motion, config.calibration.odometry_delay_s)
+        self._said = Said(config.motion, config.calibration.odometry_delay_s)
+        self._untold: list[Odometry] = []  # that the filter ahead has not heard yet
         self._recorder = ChainRecorder(config.graph.node_interval_s)
         self._ambiguity: Ambiguity | None = None
         self._stamps_ns: tuple[int, ...] = ()
@@ -53,6 +55,7 @@ class Smoother:
         """Of the last call of `trajectory`, where there were mixtures."""
 
     def start(self, estimate: Estimate) -> None:
+        self._tell()
         self._filter.start(estimate)
         at_ns = self._forget(estimate.stamp_ns)
         self._told = replace(estimate, stamp_ns=at_ns)
@@ -60,21 +63,23 @@ class Smoother:
         self._recorder.add(told, at_ns, estimate.pose)
 
     def start_in(self, region: Region, stamp_ns: int) -> None:
+        self._tell()
         self._mixtures().start_in(region, stamp_ns)
         self._region, self._told = region, None
         self._forget(stamp_ns)
 
     def predict(self, odometry: Odometry) -> None:
-        self._filter.predict(odometry)
+        self._untold.append(odometry)
         self._record(odometry.stamp_ns)
-        self._motion.hold(odometry)
-        self._odometry = odometry
+        self._said.hold(odometry)
 
     def advance(self, stamp_ns: int) -> None:
+        self._tell()
         self._filter.advance(stamp_ns)
         self._record(stamp_ns)
 
     def update(self, factor: Factor) -> Innovation | None:
+        self._tell()
         innovation = self._filter.update(factor)
         at_ns = self._record(factor.stamp_ns)
         now = self.estimate()
@@ -82,17 +87,20 @@ class Smoother:
         return innovation
 
     def observe(self, mixture: MixtureFactor) -> None:
+        self._tell()
         self._mixtures().observe(mixture)
         self._recorder.observe(mixture, self._record(mixture.stamp_ns))
 
     def estimate(self) -> Estimate | None:
         """The likeliest so far, however unlikely: what it is in the end `trajectory` tells."""
+        self._tell()
         return self._ahead.estimate() if self._bank is None else self._bank.likeliest()
 
     def ambiguity(self) -> Ambiguity | None:
         """That of the whole past once `trajectory` has looked at it, until something new comes."""
         if self._ambiguity is not None:
             return self._ambiguity
+        self._tell()
         if self._bank is not None:
             return self._bank.ambiguity()
         now = self.estimate()
@@ -116,6 +124,8 @@ class Smoother:
 
     def trajectory(self) -> tuple[Estimate, ...]:
         """An estimate per node of the chain; none while no start has been found."""
+        self._tell()
+        self._recorder.move(self._said.motions(self._recorder.stamps_ns))
         recorded = self._recorder.recorded()
         recorded = replace(recorded, motions=as_noisy(recorded.motions, self._filter.motion_scales))
         self.resolution = None
@@ -154,6 +164,29 @@ class Smoother:
                 self._bank.start(now)
         return self._bank
 
+    def _tell(self) -> None:
+        """The filter ahead hears at last what the odometry has said; what that has just said as well, only once.
+
+        A velocity that is held anyway until the next message moves nothing else.
+        """
+        untold, self._untold = self._untold, []
+        until_ns = [one.stamp_ns for one in untold[1:]]
+        for one, next_ns in zip_longest(untold, until_ns):
+            if next_ns is not None and self._repeats(one, next_ns):
+                continue
+            self._filter.predict(one)
+            self._odometry = one
+
+    def _repeats(self, odometry: Odometry, until_ns: int) -> bool:
+        before = self._odometry
+        return (
+            before is not None
+            and before.covariance is None
+            and odometry.covariance is None
+            and 0 <= until_ns - before.stamp_ns <= self._config.motion.max_hold_s * 1e9
+            and bool((before.velocity == odometry.velocity).all())
+        )
+
     def _forget(self, stamp_ns: int) -> int:
         """All that was recorded; the stamp that is reached."""
         self._recorder = ChainRecorder(self._config.graph.node_interval_s)
@@ -162,10 +195,8 @@ class Smoother:
     def _record(self, stamp_ns: int) -> int:
         """Up to the stamp; the stamp that is reached, later than a stamp that runs backwards."""
         self._ambiguity = None
-        motion = self._motion.advance(stamp_ns)
-        at_ns = stamp_ns if self._motion.stamp_ns is None else self._motion.stamp_ns
-        now = None if self._bank is not None else self.estimate()
-        self._recorder.advance(at_ns, motion, None if now is None else now.pose)
+        at_ns = self._said.advance(stamp_ns)
+        self._recorder.advance(at_ns, None, None)
         return at_ns
 
     def _with_start(

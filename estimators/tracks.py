@@ -10,11 +10,13 @@ steps and covariances, being in the robot frame, are the same for both.
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.chain import Recorded, levers
 from estimators.config import Config
 from estimators.motion import Increment
 from estimators.solution import global_means, global_sigmas
+from estimators.ways import Ways
 from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray, MixtureFactor
 from fieldloc.pose import FloatArray
@@ -76,10 +78,9 @@ class Tracks:
 
 def follow(recorded: Recorded, seeds: tuple[Seed, ...], config: Config) -> Tracks:
     sweep = _Sweep(recorded, seeds, config)
-    nodes = len(recorded.stamps_ns)
-    sweep.run(range(min(seed.node for seed in seeds), nodes), forwards=True)
+    sweep.run_forwards()
     sweep.begin_again()
-    sweep.run(range(sweep.last_begin, -1, -1), forwards=False)
+    sweep.run_backwards()
     return Tracks(
         sweep.log_evidence,
         sweep.choices,
@@ -115,6 +116,7 @@ class _Sweep:
         # offset, calibration, sensor
         self._rest = np.tile(np.concatenate([np.zeros(1), global_means(config)]), (tracks, 1))
         self._levers = levers(recorded.stamps_ns, recorded.motions)
+        self._ways = Ways.of(recorded.motions, np.array(sorted(self._at_node), dtype=np.intp))
         self._alive = np.zeros(tracks, dtype=bool)
         prior = np.concatenate([np.ones(3), [config.compass.offset_sigma_rad], global_sigmas(config)]) ** 2
         self.covariance = np.tile(np.diag(prior), (tracks, 1, 1))
@@ -139,26 +141,54 @@ class _Sweep:
             self._begins.setdefault(node, []).append(track)
             self._hints[track, seed.at :] = self.choices[track, seed.at :]
 
-    @property
-    def last_begin(self) -> int:
-        return max(self._begins)
-
-    def run(self, nodes: range, forwards: bool) -> None:
-        motions, stamps_ns = self._recorded.motions, self._recorded.stamps_ns
-        for node in nodes:
+    def run_forwards(self) -> None:
+        """Moves from stop to stop; in between, the odometry is as it was thought to be at the stop before."""
+        ways, stamps_ns = self._ways, self._recorded.stamps_ns
+        alive, poses, calibrations = self._stories()
+        for stop, node in enumerate(ways.stops.tolist()):
             if self._alive.any():
-                before = node - 1 if forwards else node
-                elapsed_s = (stamps_ns[before + 1] - stamps_ns[before]) * 1e-9
-                self._move(motions[before], elapsed_s, forwards)
-            begin = self._begins.get(node, [])
-            for track in begin:
-                self._begin(track, node)
-            at = self._at_node.get(node, [])
-            for index in at if forwards else reversed(at):
-                fresh = [t for t in begin if (index <= self._from[t] if forwards else index > self._from[t])]
-                self._see(index, node, np.setdiff1d(np.flatnonzero(self._alive), fresh))
-            new = self._alive if forwards else self._alive & (node < self._seed_nodes)
-            self.poses[new, node] = self._pose[new]
+                elapsed_s = (stamps_ns[node] - stamps_ns[ways.stops[stop - 1]]) * 1e-9
+                self._move(ways.stages[stop - 1], elapsed_s, True)
+            self._look(node)
+            alive[stop], poses[stop], calibrations[stop] = self._alive, self._pose, self._rest[:, 1:7]
+        at = ways.since
+        changed = (ways.by_calibration[:, None] @ calibrations[at][..., None])[..., 0]
+        out = se2.compose(poses[at], se2.retract(ways.moved[:, None], changed))
+        self.poses[:] = np.where(alive[at][..., None], out, 0.0).swapaxes(0, 1)
+
+    def run_backwards(self) -> None:
+        """As forwards; in between, as at the stop after."""
+        ways, stamps_ns = self._ways, self._recorded.stamps_ns
+        alive, poses, calibrations = self._stories()
+        last = int(np.searchsorted(ways.stops, max(self._begins)))
+        for stop in range(last, -1, -1):
+            node = int(ways.stops[stop])
+            if self._alive.any():
+                elapsed_s = (stamps_ns[ways.stops[stop + 1]] - stamps_ns[node]) * 1e-9
+                self._move(ways.stages[stop], elapsed_s, False)
+            self._look(node)
+            alive[stop], poses[stop], calibrations[stop] = self._alive, self._pose, self._rest[:, 1:7]
+        nodes = np.arange(len(stamps_ns))
+        at = np.minimum(ways.since + (nodes != ways.stops[ways.since]), len(ways.stops) - 1)
+        changed = (ways.left_by_calibration[:, None] @ calibrations[at][..., None])[..., 0]
+        out = se2.compose(poses[at], se2.inverse(se2.retract(ways.left[:, None], changed)))
+        new = alive[at] & (nodes[:, None] < self._seed_nodes)
+        self.poses[:] = np.where(new[..., None], out, self.poses.swapaxes(0, 1)).swapaxes(0, 1)
+
+    def _stories(self) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
+        """Room for which tracks are alive at each stop, (s, k), their poses and the odometry's calibration."""
+        shape = len(self._ways.stops), len(self._seeds)
+        return np.zeros(shape, dtype=bool), np.zeros((*shape, 3)), np.zeros((*shape, 6))
+
+    def _look(self, node: int) -> None:
+        """At all that was seen at a node, by the tracks that have begun."""
+        begin = self._begins.get(node, [])
+        for track in begin:
+            self._begin(track, node)
+        at = self._at_node.get(node, [])
+        for index in at if self._forwards else reversed(at):
+            late = [t for t in begin if (index <= self._from[t] if self._forwards else index > self._from[t])]
+            self._see(index, node, np.setdiff1d(np.flatnonzero(self._alive), late))
 
     def _begin(self, track: int, node: int) -> None:
         seed = self._seeds[track]

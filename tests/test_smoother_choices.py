@@ -86,7 +86,7 @@ def textbook_log_evidence(recorded: Recorded, choices: tuple[int, ...]) -> float
 def settled_on(recorded: Recorded, choices: IntArray) -> Settled:
     guess = np.array([mixture.solutions().poses[0] for _, mixture in recorded.mixtures])
     chain = recorded.chain(choices, (), guess, lambda index, choice: recorded.mixtures[index][1].chosen(choice))
-    return Settled(choices, (), chain, solve(chain, PLAIN), np.zeros(len(choices)))
+    return Settled(choices, (), chain, solve(chain, PLAIN), np.zeros(len(choices)), guess)
 
 
 def test_the_evidence_of_every_reading_is_that_of_the_textbook() -> None:

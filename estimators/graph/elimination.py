@@ -37,4 +37,4 @@ def elimination_order(knots: IntArray, knot_count: int, shared: int) -> gtsam.Or
 
 def _halvings(numbers: IntArray) -> IntArray:
     """(n,) how often each number from 1 on can be halved."""
-    return np.log2(numbers & -numbers).astype(np.intp)
+    return np.asarray(np.log2(numbers & -numbers), dtype=np.intp)
