@@ -6,6 +6,7 @@ The fit is the direct least squares one that is always an ellipse (Fitzgibbon, P
 Halir and Flusser 1998), each point weighted by the inverse gradient of the conic, so that it counts by its distance.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -28,9 +29,10 @@ _LEAST_SEEN = 0.25  # share of the visible bins that are explained
 _LEAST_BINS = 7
 _WINDOW = 8  # points at least of a part of a chain whose bend is compared with the ellipse's
 _SIGMAS, _LEAST_BEND_PX = 3.0, 0.3  # a bend is more than so many times its noise, and than this
-_BENT = 0.5  # share of the points that have to be bent as the ellipse is, of those where it wants a bend
+_BENT, _BENT_MEASURED = 0.5, 0.75  # share of the points that are bent as the ellipse is, of those where it is bent
 _THINNEST = 2.0  # the shorter semi-axis to how near is on the ellipse: a thinner one might be a straight line
 _LARGEST_PX = 1e4  # semi-axis
+_CONSTRAINED = np.array([[0.0, 0.0, 0.5], [0.0, -1.0, 0.0], [0.5, 0.0, 0.0]])  # inverse of 4 a c - b^2 as a matrix
 _BESIDE = 0.1  # share of the ellipse in the picture that may be above the field's border
 
 
@@ -44,17 +46,17 @@ class Ellipse:
 
     def distance(self, points: FloatArray) -> FloatArray:
         """(n,) from the ellipse, positive outside, to first order (Sampson)."""
-        value, gradient = self._value(points)
-        return np.asarray(self.scale * value / np.maximum(np.hypot(gradient[:, 0], gradient[:, 1]), 1e-9))
+        value, across, down = self._value(points)
+        return np.asarray(self.scale * value / np.maximum(np.hypot(across, down), 1e-9))
 
     def weights(self, points: FloatArray) -> FloatArray:
-        _, gradient = self._value(points)
-        return np.asarray(1.0 / np.maximum(np.hypot(gradient[:, 0], gradient[:, 1]), 1e-9))
+        _, across, down = self._value(points)
+        return np.asarray(1.0 / np.maximum(np.hypot(across, down), 1e-9))
 
     def normals(self, points: FloatArray) -> FloatArray:
         """(n, 2) unit vectors outwards."""
-        _, gradient = self._value(points)
-        return np.asarray(gradient / np.maximum(np.hypot(gradient[:, :1], gradient[:, 1:]), 1e-9))
+        _, across, down = self._value(points)
+        return np.asarray((np.stack([across, down]) / np.maximum(np.hypot(across, down), 1e-9)).T)
 
     def axes(self) -> tuple[FloatArray, FloatArray]:
         """Centre (2,) and semi-axes (2, 2), each a row, the longer first."""
@@ -66,27 +68,31 @@ class Ellipse:
         lengths = self.scale / np.sqrt(np.maximum(values, 1e-18))
         return centre * self.scale + self.origin, np.asarray(vectors.T * lengths[:, None])
 
-    def _value(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x, y = ((points - self.origin) / self.scale).T
-        a, b, c, d, e, f = self.conic
-        value = (a * x + b * y + d) * x + (c * y + e) * y + f
-        return value, np.stack([2.0 * a * x + b * y + d, b * x + 2.0 * c * y + e], axis=1)
+    def _value(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The conic at points (n, 2) and its change across and down; (n,) each."""
+        x, y = (points.T - self.origin[:, None]) / self.scale
+        a, b, c, d, e, f = self.conic.tolist()
+        slanted = b * x + c * y
+        return (a * x + b * y + d) * x + (c * y + e) * y + f, 2.0 * a * x + b * y + d, slanted + c * y + e
 
 
 def fit_ellipse(points: FloatArray, weights: FloatArray | None = None) -> Ellipse | None:
     """The ellipse through at least six points (n, 2); None where they fix none. Positive outside."""
     if len(points) < 6:
         return None
-    origin = points.mean(axis=0)
-    scale = float(np.abs(points - origin).max()) or 1.0
-    x, y = ((points - origin) / scale).T
-    root = np.ones(len(points)) if weights is None else weights
-    square = np.stack([x * x, x * y, y * y]) * root
-    plain = np.stack([x, y, np.ones_like(x)]) * root
-    scatter, mixed, low = square @ square.T, square @ plain.T, plain @ plain.T
+    origin = points.sum(axis=0) / len(points)
+    away = points.T - origin[:, None]
+    scale = float(np.abs(away).max()) or 1.0
+    rows = np.ones((6, len(points)))
+    rows[3:5] = x, y = away / scale
+    rows[0], rows[1], rows[2] = x * x, x * y, y * y
+    if weights is not None:
+        rows *= weights
+    products = rows @ rows.T
+    scatter, mixed, low = products[:3, :3], products[:3, 3:], products[3:, 3:]
     try:
         back = -np.linalg.solve(low, mixed.T)
-        _, vectors = np.linalg.eig(np.array([[0, 0, 0.5], [0, -1, 0], [0.5, 0, 0]]) @ (scatter + mixed @ back))
+        _, vectors = np.linalg.eig(_CONSTRAINED @ (scatter + mixed @ back))
     except np.linalg.LinAlgError:
         return None
     vectors = np.real(vectors)
@@ -143,20 +149,26 @@ def find_ellipse(chains: list[FloatArray], view: View) -> tuple[Ellipse, list[Ma
             before = on
             ellipse, on = refined, np.abs(refined.distance(points)) < near
             count = _explained(ellipse, windows)
-            if count > most and _is_seen(ellipse, points[on], near[on], view):
+            if count > most and is_seen(ellipse, points[on], near[on], view):
                 best, most = ellipse, count
             if (on == before).all():
                 break
         done |= on
     if best is None:
         return None
-    on = np.abs(best.distance(points)) < near
-    return best, np.split(on, np.cumsum([len(chain) for chain in chains])[:-1])
+    return best, points_on(best, chains)
+
+
+def points_on(ellipse: Ellipse, chains: list[FloatArray]) -> list[Mask]:
+    """Per chain (m, 3) which of its points are on an ellipse."""
+    table = np.concatenate(chains)
+    on = np.abs(ellipse.distance(table[:, :2])) < _NEAR_PX + _NEAR_SHARE * table[:, 2]
+    return np.split(on, np.cumsum([len(chain) for chain in chains])[:-1])
 
 
 def is_round(ellipse: Ellipse, chains: list[FloatArray]) -> bool:
     """Whether chains (m, 3) that were measured on the ellipse's line are bent as it is."""
-    return bool(chains) and _explained(ellipse, _windows(chains)) > 0
+    return bool(chains) and _explained(ellipse, _windows(chains), _BENT_MEASURED) > 0
 
 
 def _windows(chains: list[FloatArray]) -> _Windows:
@@ -182,7 +194,7 @@ def _windows(chains: list[FloatArray]) -> _Windows:
     return _Windows(points, _NEAR_PX + _NEAR_SHARE * table[:, 2], begins, size, bow, bend, sigma)
 
 
-def _explained(ellipse: Ellipse, windows: _Windows) -> int:
+def _explained(ellipse: Ellipse, windows: _Windows, least: float = _BENT) -> int:
     """How many points are in windows on the ellipse; none where these are bent too little for it, as straight lines are
     that it runs along.
     """
@@ -195,7 +207,7 @@ def _explained(ellipse: Ellipse, windows: _Windows) -> int:
     # Every window has a say where the ellipse wants a bend that cannot be noise: a corner is bent much, in one place.
     asked = on & (np.abs(wanted) > np.maximum(_SIGMAS * windows.sigma_px, _LEAST_BEND_PX))
     found = np.clip(bend[asked] / wanted[asked], 0.0, 1.0) @ windows.sizes[asked]
-    if not asked.any() or found < _BENT * windows.sizes[asked].sum():
+    if not asked.any() or found < least * windows.sizes[asked].sum():
         return 0
     return int(windows.sizes[on].sum())
 
@@ -204,26 +216,24 @@ def _is_bent(chain: FloatArray) -> bool:
     """Whether a parabola over the chord explains what a straight line does not."""
     if len(chain) < 8:
         return False
-    first, middle, last = chain[[0, len(chain) // 2, -1], :2]
-    chord = last - first
-    length = float(np.hypot(chord[0], chord[1]))
-    if length < 1.0 or abs(_cross(chord, middle - first)) < 0.5 * _LEAST_SAGITTA_PX * length:
+    (u, v), (u_middle, v_middle), (u_last, v_last) = chain[[0, len(chain) // 2, -1], :2].tolist()
+    across, down = u_last - u, v_last - v
+    length = math.hypot(across, down)
+    sagitta = abs(across * (v_middle - v) - down * (u_middle - u)) / max(length, 1e-9)
+    if length < 1.0 or sagitta < 0.5 * _LEAST_SAGITTA_PX:
         return False
-    along = chord / length
+    along = np.array([across, down]) / length
     relative = chain[:, :2] - chain[0, :2]
-    place = 2.0 * (relative @ along) / length - 1.0
+    basis = np.ones((3, len(chain)))
+    basis[1] = place = (2.0 / length) * (relative @ along) - 1.0
+    basis[2] = place * place
     off = relative @ np.array([-along[1], along[0]])
-    basis = np.stack([np.ones_like(place), place, place * place])
     sizes = np.linalg.solve(basis @ basis.T + 1e-9 * np.eye(3), basis @ off)
-    rest = float(np.sqrt(np.mean((off - sizes @ basis) ** 2)))
-    return bool(abs(sizes[2]) > max(_LEAST_SAGITTA_PX, 3.0 * rest))
+    rest = off - sizes @ basis
+    return bool(abs(sizes[2]) > max(_LEAST_SAGITTA_PX, 3.0 * math.sqrt(rest @ rest / len(rest))))
 
 
-def _cross(one: FloatArray, other: FloatArray) -> float:
-    return float(one[0] * other[1] - one[1] * other[0])
-
-
-def _is_seen(ellipse: Ellipse, on: FloatArray, near: FloatArray, view: View) -> bool:
+def is_seen(ellipse: Ellipse, on: FloatArray, near: FloatArray, view: View) -> bool:
     """Whether enough of the ellipse is explained by the points on it, it is no straight line, and on the field."""
     centre, axes = ellipse.axes()
     long, short = np.hypot(axes[:, 0], axes[:, 1])

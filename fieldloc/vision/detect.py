@@ -6,8 +6,9 @@ import numpy as np
 from fieldloc.camera import Camera
 from fieldloc.colours import FieldColours
 from fieldloc.pose import FloatArray
+from fieldloc.vision.arcs import ellipse_of
 from fieldloc.vision.chains import chains_of, parts
-from fieldloc.vision.circle import find_ellipse
+from fieldloc.vision.circle import find_ellipse, points_on
 from fieldloc.vision.corners import find_corners
 from fieldloc.vision.detections import Detections
 from fieldloc.vision.edge_pairs import edge_pairs
@@ -42,17 +43,25 @@ def detect(
     down, across = find_runs(picture, turf, settings)
     patches = chains_of(down, True, 2)
     chains = plane.chains([chain for chain in patches if len(chain) >= 4] + chains_of(across, False, 4))
-    found = find_ellipse(chains, lambda points: _view(plane.to_picture(points), turf, width, height))
+
+    def view(points: FloatArray) -> tuple[Mask, Mask]:
+        return _view(plane.to_picture(points), turf, width, height)
+
+    found = find_ellipse(chains, view)
     # Brightness, as cameras and JPEG keep colours at half the resolution.
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-    circle = found and trace(grey, found[0], np.concatenate(parts(chains, found[1], True)), plane, settings)
+    circle = None
+    if found:
+        circle = trace(grey, found[0], _on(chains, found[1]), plane, settings, bent=False)
     posts = find_posts(picture, turf, colours, camera)
     if settings.finder == "runs":
         rest = parts(chains, found[1], False) if found and circle else chains
         pieces = straight_pieces(rest, 0.6 * settings.least_length_px)
     else:
         pieces = edge_pairs(grey, turf, found[0] if found and circle else None, plane, settings)
-    lines = fit_lines(grey, merged(pieces), plane, turf, settings)
+    lines, arcs = fit_lines(grey, merged(pieces), plane, turf, settings)
+    if not circle and (ellipse := ellipse_of(arcs, view)):
+        circle = trace(grey, ellipse, _on(chains, points_on(ellipse, chains)), plane, settings, bent=True)
     lines = sort_out(lines, circle, posts, grey, turf, settings)
     return Detections(
         width,
@@ -64,6 +73,10 @@ def detect(
         marks=find_marks(patches, grey, turf),
         boundary_px=turf.boundary_px,
     )
+
+
+def _on(chains: list[FloatArray], masks: list[Mask]) -> FloatArray:
+    return np.concatenate([chain[mask] for chain, mask in zip(chains, masks, strict=True)])
 
 
 def _view(pixels: FloatArray, turf: Turf, width: int, height: int) -> tuple[Mask, Mask]:

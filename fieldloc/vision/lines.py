@@ -30,7 +30,9 @@ _LEAST_TYPICAL_PX = np.array([[0.05], [0.1]])  # of middles and of widths
 _FLOOR_PX = 0.02  # of a middle: what pixels, their interpolation and JPEG err by, however long the line
 _ROUGHEST_PX = 1.0  # standard deviation of the middles about the line, or a share of the width
 _ROUGHEST_SHARE = 0.12
-_BENT = 0.01  # sagitta to length: more bent, and clearly so, is no line; lenses bend less, circles more
+_BENT_SIGMAS, _LEAST_BENT_PX = 5.0, 0.25  # a line's sagitta is less than so many standard deviations, or than this:
+# taper in perspective, another line at one end and the picture's border bend by tenths of a pixel
+_BENT = 0.01  # sagitta to length: a lens bends less, unless it is known; what bends less is a line
 _LAGS = 8  # profiles along the line over which residuals are correlated
 
 
@@ -67,17 +69,34 @@ class Middles:
 
 def fit_lines(
     grey: UInt8Array, segments: Segments, plane: Plane, turf: Turf, settings: VisionSettings
-) -> tuple[SeenLine, ...]:
-    """Those of the segments (in the plane) that are lines in the picture `grey`, in its pixels."""
+) -> tuple[tuple[SeenLine, ...], list[FloatArray]]:
+    """Those of the segments (in the plane) that are lines in the picture `grey`, in its pixels; and those that would be
+    but for their bend, as middles with the width there (m, 3), in the plane.
+    """
     if len(segments.ends) == 0:
-        return ()
-    segments = _moved(segments, _middles(grey, segments, plane, turf, _COARSE_PX, 0.0, settings))
+        return (), []
+    if settings.finder != "runs" or not plane.is_picture:  # runs are between pixels already
+        segments = _moved(segments, _middles(grey, segments, plane, turf, _COARSE_PX, 0.0, settings))
     found = _middles(grey, segments, plane, turf, _SPACING_PX, _EXTRA_PX, settings)
     height, width = grey.shape[:2]
     scale = max(1.0, min(width / 640.0, height / 480.0))
-    kept = _are_lines(found, settings.least_length_px * scale)
+    bent_px = _BENT * segments.lengths
+    if plane.camera is not None:  # what its distortion leaves is less the shorter a part of a line
+        bent_px = bent_px * segments.lengths / width
+    like_lines, straight = _are_lines(found, settings.least_length_px * scale, bent_px)
+    arcs = [_curve(segments.ends[row], found, row) for row in np.flatnonzero(like_lines & ~straight).tolist()]
+    kept = like_lines & straight
     found = Middles(found.place[kept], found.off[kept], found.width[kept], found.used[kept], found.bare[kept])
-    return _seen(segments.ends[kept], found, plane) if kept.any() else ()
+    return (_seen(segments.ends[kept], found, plane) if kept.any() else ()), arcs
+
+
+def _curve(ends: FloatArray, found: Middles, row: int) -> FloatArray:
+    """(m, 3) the middles of one of the segments, whose ends (2, 2) are these, in the plane, and the widths there."""
+    used = found.used[row]
+    along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
+    across = np.array([-along[1], along[0]])
+    points = ends[0] + found.place[row, used, None] * along + found.off[row, used, None] * across
+    return np.column_stack([points, found.width[row, used]])
 
 
 def _middles(
@@ -145,35 +164,35 @@ def _ends_of(found: Middles) -> FloatArray:
     return np.stack([first, last], axis=1)
 
 
-def _are_lines(found: Middles, least_length_px: float) -> Mask:
-    """(n,) which are long, straight, smooth and gapless enough."""
-    count = found.used.sum(axis=1)
+def _are_lines(found: Middles, least_length_px: float, bent_px: FloatArray) -> tuple[Mask, Mask]:
+    """(n,) which are long, smooth and gapless enough, and which are straight; bent_px: (n,) what a lens may bend."""
+    count = np.count_nonzero(found.used, axis=1)
     some = count >= _LEAST_USED
     ends = np.where(some[:, None], _ends_of(found), 0.0)
     length = ends[:, 1] - ends[:, 0]
     between = (found.place >= ends[:, :1]) & (found.place <= ends[:, 1:])
-    bare = (between & found.bare & ~found.used).sum(axis=1)
-    rest = found.rest(found.off)
-    count = np.maximum(count, 1)
-    width = np.where(found.used, found.width, 0.0).sum(axis=1) / count
-    rough = np.sqrt((rest * rest).sum(axis=1) / count)
+    bare = np.count_nonzero(between & found.bare & ~found.used, axis=1)
     x = 2.0 * (found.place - ends[:, :1]) / np.maximum(length, 1.0)[:, None] - 1.0
-    bow = np.where(found.used, x * x, 0.0)
-    bow = np.where(found.used, bow - (bow.sum(axis=1) / count)[:, None], 0.0)
+    rest, bow = found.rest(np.stack([found.off, x * x]))
+    count = np.maximum(count, 1)
+    # A parabola beside the straight line: what is left of the middles then is their noise, alike in neighbours.
     power = np.maximum((bow * bow).sum(axis=1), 1e-9)
-    sagitta = np.abs((bow * rest).sum(axis=1)) / power
-    noise = 2.0 * rough / np.sqrt(power)  # the residuals of neighbours are alike
-    straight = (sagitta <= _BENT * length) | (sagitta <= 5.0 * noise)
+    sagitta = (bow * rest).sum(axis=1) / power
+    rest = rest - sagitta[:, None] * bow
+    rough = np.sqrt((rest * rest).sum(axis=1) / count)
+    noise = rough * np.sqrt(_correlation(rest, found.used) / power)
+    straight = np.abs(sagitta) <= np.maximum(np.maximum(_BENT_SIGMAS * noise, _LEAST_BENT_PX), bent_px)
+    width = (found.width * found.used).sum(axis=1) / count
     smooth = rough <= np.maximum(_ROUGHEST_PX, _ROUGHEST_SHARE * width)
     long = length >= np.maximum(least_length_px, 1.5 * width)
     share = np.where(rough < _SMOOTH_PX, _LEAST_SMOOTH, _LEAST_SHARE)
-    whole = (count >= share * (count + bare)) & (count >= _LEAST_SEEN * between.sum(axis=1))
-    return np.asarray(some & long & smooth & straight & whole)
+    whole = (count >= share * (count + bare)) & (count >= _LEAST_SEEN * np.count_nonzero(between, axis=1))
+    return np.asarray(some & long & smooth & whole), np.asarray(straight)
 
 
 def _correlation(rest: FloatArray, used: Mask) -> float:
     """By how much residuals alike in neighbours enlarge a variance: 1 + 2 sum of all lines' autocorrelations."""
-    typical = np.sqrt((rest * rest).sum(axis=1) / used.sum(axis=1))
+    typical = np.sqrt((rest * rest).sum(axis=1) / np.maximum(used.sum(axis=1), 1))
     scaled = rest / np.maximum(typical, 1e-6)[:, None]
     total = 1.0
     for lag in range(1, min(_LAGS, rest.shape[1] - 1) + 1):

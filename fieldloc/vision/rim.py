@@ -1,6 +1,7 @@
 """The circle's line, measured across it as straight lines are."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldloc.pose import FloatArray
 from fieldloc.vision.circle import Ellipse, bins_of, fit_ellipse, is_round, on_rim
@@ -18,28 +19,25 @@ _FARTHER = 2  # parts beyond those with runs that are measured, too
 _OUTLIER = 3.5  # robust standard deviations from the ellipse
 _LEAST_OUTLIER_PX = 0.7  # the middle between a circle's edges in perspective is not quite an ellipse
 _FLOOR_PX = 0.03  # of a point: what interpolation between pixels errs by
-_LEAST_SHARE = 0.7  # of the points where there are runs have to be on the ellipse
+_LEAST_SHARE = 0.5  # of the points where there are runs have to be on the ellipse: things stand before parts of it
 _LEAST_ACROSS_PX = 1.5  # standard deviation of the points to either side of a straight line
 _AROUND = 9  # neighbours that tell a point's standard deviation
 
 
 def trace(
-    grey: UInt8Array, ellipse: Ellipse, on: FloatArray, plane: Plane, settings: VisionSettings
+    grey: UInt8Array, ellipse: Ellipse, on: FloatArray, plane: Plane, settings: VisionSettings, *, bent: bool
 ) -> SeenCircle | None:
     """The points of the picture `grey` on the middle of the circle's line, where it is seen.
 
     ellipse: in the plane. on: (n, 3) the middles of white runs on it, with their widths along the scan lines.
+    bent: that what is on it is bent is known already.
     """
     for spacing_px in (2.0 * _SPACING_PX, _SPACING_PX):  # once to come onto the line, once to measure
         centre, axes = ellipse.axes()
-        turns = _evenly(centre, axes, spacing_px)
-        points, normals = on_rim(centre, axes, turns)
-        part = np.rint(turns * _BINS).astype(np.intp) % _BINS
         there, widths = _widths(centre, axes, on)
-        seen = np.isfinite(widths[part])
-        points, normals, part = points[seen], normals[seen], part[seen]
-        widths = widths[part]
-        widths = widths * np.abs(normals).max(axis=1)
+        turns, part = _evenly(centre, axes, spacing_px, np.isfinite(widths))
+        points, normals = on_rim(centre, axes, turns)
+        widths = widths[part] * np.abs(normals).max(axis=1)
         pixels, across, zoom = plane.normals_in_picture(points, normals)
         found = measure(grey, pixels, across, widths * zoom)
         good = found.good & (found.step > 0.6 * settings.least_contrast)
@@ -59,7 +57,8 @@ def trace(
     table = np.column_stack([middles, np.zeros(len(middles))])[good]
     gaps = np.flatnonzero(np.diff(np.flatnonzero(good)) > 2) + 1
     aside = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(table[:, :2].T))[0], 0.0)))
-    if aside < _LEAST_ACROSS_PX or not is_round(ellipse, [part for part in np.split(table, gaps) if len(part) > 2]):
+    pieces = [part for part in np.split(table, gaps) if len(part) > 2]
+    if not bent and (aside < _LEAST_ACROSS_PX or not is_round(ellipse, pieces)):
         return None
     sigma = np.sqrt(_local(off[good] ** 2) + _FLOOR_PX**2) * zoom[good]
     centre, axes = ellipse.axes()
@@ -69,13 +68,23 @@ def trace(
     return SeenCircle(pixels[good] + (found.middle_px[good])[:, None] * across[good], sigma, numbers)
 
 
-def _evenly(centre: FloatArray, axes: FloatArray, spacing_px: float) -> FloatArray:
-    """Turns of the ellipse's own angle at which points are about evenly spaced on it."""
-    fine = np.linspace(0.0, 1.0, 181)
+def _evenly(centre: FloatArray, axes: FloatArray, spacing_px: float, seen: Mask) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Turns of the ellipse's own angle at which points are about evenly spaced on it, in its parts that are seen; and
+    which parts these are.
+    """
+    fine = np.linspace(0.0, 1.0, 8 * _BINS + 1)
     rim, _ = on_rim(centre, axes, fine)
-    path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rim, axis=0).T))])
+    step = np.hypot(*np.diff(rim, axis=0).T)
+    step = np.where(seen[_part(0.5 * (fine[1:] + fine[:-1]))], step, 0.0)  # what is not seen has no length
+    path = np.concatenate([[0.0], np.cumsum(step)])
     count = int(np.clip(path[-1] / spacing_px, _FEWEST, _MOST))
-    return np.asarray(np.interp(np.arange(count) * path[-1] / count, path, fine))
+    turns = np.interp((np.arange(count) + 0.5) * path[-1] / count, path, fine)
+    part = _part(turns)
+    return turns[seen[part]], part[seen[part]]
+
+
+def _part(turns: FloatArray) -> NDArray[np.intp]:
+    return np.asarray(np.rint(turns * _BINS).astype(np.intp) % _BINS)
 
 
 def _widths(centre: FloatArray, axes: FloatArray, on: FloatArray) -> tuple[Mask, FloatArray]:

@@ -14,6 +14,7 @@ from fieldloc.vision.settings import VisionSettings
 from fieldloc.vision.turf import Mask, Turf
 
 _COVERED = 0.7  # share of a piece within wider or longer ones
+_CIRCLE_PX = 2.5  # between the circle's points, by half
 _MARK_WIDTHS, _MARK_LENGTH = 30.0, 0.15  # longer than so many widths or than this of the picture's width is no mark
 _STUB_WIDTHS = 3.5  # what is shorter, and neither at another line nor at the picture's border, is a patch
 _LIMB_WIDTHS = 8.0  # what is shorter and ends at something that is no turf is a part of that
@@ -41,7 +42,12 @@ def sort_out(
     upright, free, blocked = _beyond(ends, width, grey, turf, settings)
     upright |= _on_posts(ends, posts)
     sigma = np.stack([line.width_sigma_px for line in lines])
-    good = ~_covered(ends, width) & ~upright & _tapers_as_turf(ends, width, sigma, turf, grey.shape[0])
+    good = (
+        ~_covered(ends, width)
+        & ~_on_circle(ends, width, circle)
+        & ~upright
+        & _tapers_as_turf(ends, width, sigma, turf, grey.shape[0])
+    )
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     short = length < np.minimum(_MARK_WIDTHS * width.mean(axis=1), _MARK_LENGTH * grey.shape[1])
     others, at_circle = _near_others(ends, width, circle)
@@ -84,6 +90,15 @@ def _covered(ends: FloatArray, width: FloatArray) -> Mask:
     inside = (off < 0.6 * wide + 0.5) & (place > -wide) & (place < length + wide)
     inside &= (length[None, :] > length[:, None])[:, None]
     return np.asarray(inside.any(axis=2).mean(axis=1) >= _COVERED)
+
+
+def _on_circle(ends: FloatArray, width: FloatArray, circle: SeenCircle | None) -> Mask:
+    """(n,) which pieces are mostly within the white of the circle."""
+    if circle is None:
+        return np.zeros(len(ends), dtype=np.bool_)
+    points = ends[:, :1] + np.linspace(0.05, 0.95, 9)[:, None] * (ends[:, 1:] - ends[:, :1])
+    away = np.linalg.norm(points[:, :, None] - circle.points_px, axis=-1).min(axis=2)
+    return np.asarray((away < 0.5 * width.mean(axis=1, keepdims=True) + _CIRCLE_PX).mean(axis=1) >= _COVERED)
 
 
 def _at_border(ends: FloatArray, width: FloatArray, grey: UInt8Array) -> Mask:
