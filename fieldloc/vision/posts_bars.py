@@ -12,8 +12,8 @@ from fieldloc.vision.posts_pairs import Strips
 
 _PLACES = np.array([0.7, 1.2, 1.8, 2.5, 3.3, 4.2])  # post's widths beside its edge
 _SLOPES = np.linspace(-0.4, 0.4, 8)
-_THICKNESSES = np.array([0.7, 1.1, 1.5])  # of the post's width
-_JITTER = np.array([-0.2, 0.0, 0.2])  # of the post's width, from where its edge ends
+_THICKNESSES = np.array([0.8, 1.3])
+_JITTER = np.array([-0.12, 0.12])
 _THINNEST, _THICKEST = 0.5, 1.6  # a bar, by the post's width
 _LEAST = 0.45  # of the places, for there to be one
 

@@ -1,5 +1,6 @@
 """How much of a post's colour there is in a pixel."""
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -24,13 +25,17 @@ class View:
 
     def colours_at(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """(..., 3) the nearest pixels, those of the border beside the picture."""
-        height, width = self.picture.shape[:2]
-        row = np.clip(np.rint(v), 0, height - 1).astype(np.intp)
-        column = np.clip(np.rint(u), 0, width - 1).astype(np.intp)
-        return self.picture[row, column].astype(np.float64)
+        return nearest(self.picture, u, v).astype(np.float64)
 
     def likeness_at(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        return self.likeness_of(self.colours_at(u, v))
+        return self.likeness(nearest(self.picture, u, v))
+
+    def likeness(self, pixels: UInt8Array) -> FloatArray:
+        """(...,) of pixels (..., 3)."""
+        if not pixels.size:
+            return np.zeros(pixels.shape[:-1])
+        alike = likeness(pixels.reshape(-1, pixels.shape[-2], 3), self.colour)
+        return alike.reshape(pixels.shape[:-1]).astype(np.float64)
 
     def likeness_of(self, colours: FloatArray) -> FloatArray:
         """As `likeness`, of colours (..., 3)."""
@@ -65,6 +70,16 @@ def likeness(picture: UInt8Array, colour: Colour) -> UInt8Array:
     if max(colour) > 127:
         return np.asarray(cv2.min(cv2.min(blue, green), red), dtype=np.uint8)
     return np.asarray(255 - cv2.max(cv2.max(blue, green), red), dtype=np.uint8)
+
+
+def nearest(picture: UInt8Array, u: FloatArray, v: FloatArray) -> UInt8Array:
+    """(..., c) or (...,) the nearest pixels to points, those of the border beside the picture."""
+    shape = np.broadcast_shapes(u.shape, v.shape)
+    if not math.prod(shape):
+        return np.zeros(shape + picture.shape[2:], dtype=np.uint8)
+    maps = [np.broadcast_to(one.astype(np.float32), shape).reshape(-1, shape[-1]) for one in (u, v)]
+    pixels = cv2.remap(picture, maps[0], maps[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(pixels, dtype=np.uint8).reshape(shape + picture.shape[2:])
 
 
 def _hue_direction(colour: Colour) -> FloatArray | None:

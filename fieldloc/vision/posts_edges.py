@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fieldloc.colours import Colour
 from fieldloc.pose import FloatArray
 from fieldloc.vision.picture import UInt8Array
-from fieldloc.vision.posts_colour import likeness
+from fieldloc.vision.posts_colour import likeness, nearest
 from fieldloc.vision.turf import Turf
 
 _LONG_SIDE_PX = 1000  # what is larger is halved, or more
@@ -21,7 +21,11 @@ _ABOVE, _BELOW = 0.16, 0.10  # of the picture's height: the band's reach from th
 _QUIET = 0.65  # of the band's pixels change less from side to side than an edge does
 _LEAST_CHANGE = 8.0  # of Sobel's operator: two grey levels a pixel
 _LEAST_ROWS = 4  # of the band
+_MOST = 200  # edges of a kind, the clearest
 _STEEPEST = 0.3  # sideways per downwards: roll, and the lean that tilt gives to what is upright
+
+
+Labels = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,10 +46,8 @@ class Band:
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """The likeness at points of the picture; those beside the band take the nearest of it."""
-        height, width = self.likeness.shape
-        column = np.clip(np.floor((u + 0.5) / self.scale[0]).astype(np.intp), 0, width - 1)
-        row = np.clip(np.floor((v - self.top + 0.5) / self.scale[1]).astype(np.intp), 0, height - 1)
-        return np.asarray(self.likeness[row, column], dtype=np.float64)
+        column, row = (u + 0.5) / self.scale[0] - 0.5, (v - self.top + 0.5) / self.scale[1] - 0.5
+        return nearest(self.likeness, column, row).astype(np.float64)
 
 
 def band_about(picture: UInt8Array, turf: Turf, colour: Colour) -> Band | None:
@@ -62,7 +64,9 @@ def band_about(picture: UInt8Array, turf: Turf, colour: Colour) -> Band | None:
     if rows < _LEAST_ROWS or columns < _LEAST_ROWS:
         return None
     part = picture[top : top + rows * down, : columns * across]
-    reduced = np.asarray(cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    if across > 1:
+        part = np.asarray(cv2.resize(part, (columns, 2 * rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    reduced = np.asarray(cv2.addWeighted(part[::2], 0.5, part[1::2], 0.5, 0.0), dtype=np.uint8)
     return Band(likeness(reduced, colour), top, np.array([across, down]))
 
 
@@ -71,35 +75,49 @@ def upright_edges(band: Band) -> tuple[Edges, Edges]:
     change = np.asarray(cv2.Sobel(band.likeness, cv2.CV_16S, 1, 0, ksize=3), dtype=np.int16)
     across = np.abs(np.asarray(cv2.Sobel(band.likeness, cv2.CV_16S, 0, 1, ksize=3), dtype=np.int16))
     sample = np.abs(change[::3, ::3]).ravel()
-    least = max(
-        _LEAST_CHANGE, float(np.partition(sample, int(_QUIET * (sample.size - 1)))[int(_QUIET * (sample.size - 1))])
-    )
-    return _edges(change, across, least, band), _edges(-change, across, least, band)
-
-
-def _edges(change: NDArray[np.int16], across: NDArray[np.int16], least: float, band: Band) -> Edges:
-    """Ridges of the change, linked from row to row and fitted by lines."""
-    highest = np.asarray(cv2.dilate(change, np.ones((1, 3), dtype=np.uint8)))
-    ridge = (change == highest) & (change > least) & (change > across)
-    thick = cv2.dilate(ridge.view(np.uint8), np.ones((3, 1), dtype=np.uint8))  # a row may be missing
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(thick, connectivity=8, ltype=cv2.CV_16U)
-    tall = np.flatnonzero(stats[:, cv2.CC_STAT_HEIGHT] - 2 >= _LEAST_ROWS)
-    numbers = np.zeros(count, dtype=np.intp)
-    numbers[tall[tall > 0]] = np.arange(1, 1 + np.count_nonzero(tall > 0))
-    spots = np.flatnonzero(ridge)
-    label = numbers[np.asarray(labels).ravel()[spots]]
-    spots, label = spots[label > 0], label[label > 0] - 1
-    v, u = np.divmod(spots, change.shape[1])
-    lines, rows = _fitted(u + _peak_offset(change.ravel(), spots), v.astype(np.float64), label)
+    quiet = int(_QUIET * (sample.size - 1))
+    least = max(_LEAST_CHANGE, float(np.partition(sample, quiet)[quiet]))
+    parts = [_ridges(change, across, least), _ridges(-change, across, least)]
+    count = int(parts[0][2].max(initial=-1)) + 1
+    u, v = (np.concatenate([part[n] for part in parts]) for n in (0, 1))
+    lines, rows, label = _fitted(u, v, np.concatenate([parts[0][2], parts[1][2] + count]))
     across_px, down_px = (float(x) for x in band.scale)
     steep = np.abs(lines[:, 1]) * across_px / down_px < _STEEPEST
-    lines, rows = lines[steep], rows[steep]
+    lines, rows, ending = lines[steep], rows[steep], label[steep] >= count
     # to the picture's pixels: u = (column + 0.5) across - 0.5, v = (row + 0.5) down - 0.5 + top
     slope = lines[:, 1] * across_px / down_px
     middle = (0.5 * down_px) - 0.5 + band.top
-    intercept = (lines[:, 0] + 0.5) * across_px - 0.5 - slope * middle
-    edges = rows * down_px + band.top - 0.5 + np.array([0.0, down_px])
-    return Edges(np.stack([intercept, slope], axis=1), edges)
+    lines = np.stack([(lines[:, 0] + 0.5) * across_px - 0.5 - slope * middle, slope], axis=1)
+    rows = rows * down_px + band.top - 0.5 + np.array([0.0, down_px])
+    return Edges(lines[~ending], rows[~ending]), Edges(lines[ending], rows[ending])
+
+
+def _ridges(
+    change: NDArray[np.int16], across: NDArray[np.int16], least: float
+) -> tuple[FloatArray, FloatArray, Labels]:
+    """Columns and rows (n,) of the ridges of the change, and which of those linked from row to row each is of."""
+    highest = np.asarray(cv2.dilate(change, np.ones((1, 3), dtype=np.uint8)))
+    ridge = (change == highest) & (change > np.maximum(across, np.int16(least)))
+    thick = cv2.dilate(ridge.view(np.uint8), np.ones((3, 1), dtype=np.uint8))  # a row may be missing
+    count, labels = cv2.connectedComponents(thick, connectivity=8, ltype=cv2.CV_16U)
+    spots = np.flatnonzero(ridge)
+    label = np.asarray(labels).ravel()[spots]
+    v = spots // change.shape[1]
+    first, last = np.zeros(count, dtype=np.intp), np.zeros(count, dtype=np.intp)
+    last[label], first[label[::-1]] = v, v[::-1]  # rows ascend: what is written last stays
+    tall = last - first + 1 >= _LEAST_ROWS
+    tall[0] = False
+    number = np.cumsum(tall) - 1
+    kept = tall[label]
+    spots, v = spots[kept], v[kept]
+    label, count = number[label[kept]], int(np.count_nonzero(tall))
+    flat = change.ravel()
+    if count > _MOST:  # what changes by much over many rows is clearest
+        clear = np.bincount(label, flat[spots], minlength=count) / np.sqrt(np.bincount(label, minlength=count))
+        most = clear >= np.partition(clear, count - _MOST)[count - _MOST]
+        kept, number = most[label], np.cumsum(most) - 1
+        spots, v, label = spots[kept], v[kept], number[label[kept]]
+    return spots - v * change.shape[1] + _peak_offset(flat, spots), v.astype(np.float64), label
 
 
 def _peak_offset(change: NDArray[np.int16], spots: NDArray[np.intp]) -> FloatArray:
@@ -110,23 +128,28 @@ def _peak_offset(change: NDArray[np.int16], spots: NDArray[np.intp]) -> FloatArr
     return np.clip(0.5 * (before - after) / np.minimum(before - 2.0 * here + after, -1e-9), -0.5, 0.5)
 
 
-def _fitted(u: FloatArray, v: FloatArray, label: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-    """Lines (m, 2) and first and last rows (m, 2) of the groups that are straight, fitted with Cauchy weights."""
+def _fitted(u: FloatArray, v: FloatArray, label: Labels) -> tuple[FloatArray, FloatArray, Labels]:
+    """Lines (m, 2), first and last rows (m, 2) and labels (m,) of the groups that are straight, fitted with Cauchy
+    weights; each group's rows ascend."""
     groups = int(label.max()) + 1 if label.size else 0
-    weight = np.ones_like(u)
+    weight: FloatArray | None = None
 
     def total(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(label, values * weight, minlength=groups), dtype=np.float64)
+        weighted = values if weight is None else values * weight
+        return np.asarray(np.bincount(label, weighted, minlength=groups), dtype=np.float64)
 
     intercept = slope = np.zeros(groups)
     residual = np.zeros_like(u)
-    for _ in range(3):
-        mass = total(np.ones_like(u))
-        mean_u, mean_v = total(u) / mass, total(v) / mass
-        du, dv = u - mean_u[label], v - mean_v[label]
-        slope = total(du * dv) / np.maximum(total(dv * dv), 1e-9)
-        intercept = mean_u - slope * mean_v
-        residual = du - slope[label] * dv
+    rough = np.bincount(label, minlength=groups)
+    middle_v = np.bincount(label, v, minlength=groups) / np.maximum(rough, 1)
+    middle_u = np.bincount(label, u, minlength=groups) / np.maximum(rough, 1)
+    dv, du = v - middle_v[label], u - middle_u[label]
+    for _ in range(2):
+        mass = rough if weight is None else np.bincount(label, weight, minlength=groups)
+        sum_v, sum_u = (total(dv), total(du)) if weight is not None else (0.0, 0.0)
+        slope = (total(du * dv) - sum_u * sum_v / mass) / np.maximum(total(dv * dv) - sum_v**2 / mass, 1e-9)
+        intercept = (sum_u - slope * sum_v) / mass
+        residual = du - (intercept[label] + slope[label] * dv)
         weight = 1.0 / (1.0 + (1.5 * residual) ** 2)
     on_line = np.abs(residual) < 1.2
     first, last = np.full(groups, np.inf), np.full(groups, -np.inf)
@@ -134,4 +157,5 @@ def _fitted(u: FloatArray, v: FloatArray, label: NDArray[np.intp]) -> tuple[Floa
     last[there], first[there[::-1]] = rows_there, rows_there[::-1]
     rows = last - first + 1.0
     straight = (rows >= _LEAST_ROWS) & (np.bincount(label, on_line, minlength=groups) >= 0.6 * rows)
-    return np.stack([intercept, slope], axis=1)[straight], np.stack([first, last], axis=1)[straight]
+    lines = np.stack([middle_u + intercept - slope * middle_v, slope], axis=1)
+    return lines[straight], np.stack([first, last], axis=1)[straight], np.flatnonzero(straight)

@@ -4,6 +4,8 @@ Each end is told from numbers and from the light they may stand for, as edges ar
 post's ends are arcs: its foot is lowest in its middle, its top highest.
 """
 
+from typing import TypeVar
+
 import numpy as np
 
 from fieldloc.pose import FloatArray
@@ -14,6 +16,7 @@ from fieldloc.vision.turf import Turf
 _MIDDLE = 0.25, 0.75  # of the width: where a foot is nearly level
 _OUTER = 0.06, 0.6  # of the width from the outer edge: beside the bar that the post carries
 _REACH = 1.2  # of the width, up and down
+_BELOW_PX = np.array([2.0, 3.0, 4.0])
 _NEAR_PX = 5.0  # up and down from where the hue changes
 _GREEN = 0.22  # of the way from the post's hue to the turf's: in the sun turf is nearly white
 _NEARLY = 0.6  # as steep as the steepest
@@ -24,6 +27,7 @@ _LEAST_CONTRAST = 10.0  # of 255, between a top and what is above it
 _LEVEL = 3.0  # standard deviations of the columns, beyond which one is left out
 _ALIKE = 3.0  # neighbouring columns share blur and the grain of the turf: about every third is new
 
+_Number = TypeVar("_Number", int, float)
 Lines = tuple[FloatArray, FloatArray]
 """u = a + b v of both edges, (2,) each."""
 
@@ -38,9 +42,10 @@ def foot_of(
     near_v = _hue_change(picture, edges, foot_v, own, turf.colour)
     if near_v is None:
         return None
-    v = np.clip(np.rint(near_v + np.array([2.0, 3.0, 4.0])), 0, len(picture) - 1).astype(np.intp)
-    middle = np.clip(np.rint(0.5 * (edges[0] + edges[1]) @ np.stack([np.ones(3), v])), 0, picture.shape[1] - 1)
-    below = picture[v, middle.astype(np.intp)].mean(axis=0)
+    v = np.minimum(np.rint(near_v + _BELOW_PX), len(picture) - 1)
+    middle = np.rint(0.5 * (edges[0][0] + edges[1][0] + (edges[0][1] + edges[1][1]) * v))
+    column = np.minimum(np.maximum(middle, 0), picture.shape[1] - 1)
+    below = picture[v.astype(np.intp), column.astype(np.intp)].mean(axis=0)
     found = _steps(picture, edges, near_v, _MIDDLE, below - own, 1, _LEAST_STEP, _NEAR_PX)
     if found is None:
         return None
@@ -56,8 +61,8 @@ def top_of(
     places = _OUTER if bar_right else (1.0 - _OUTER[1], 1.0 - _OUTER[0])
     width = _width(edges, top_v)
     u = float(edges[0] @ (1.0, top_v) + 0.5 * (places[0] + places[1]) * width)
-    v = int(np.clip(round(top_v - max(0.5 * width, 3.0)), 0, len(picture) - 1))
-    above = picture[v, int(np.clip(round(u), 0, picture.shape[1] - 1))].astype(np.float64)
+    v = _within(round(top_v - max(0.5 * width, 3.0)), 0, len(picture) - 1)
+    above = picture[v, _within(round(u), 0, picture.shape[1] - 1)].astype(np.float64)
     if np.abs(above - own).max() < _LEAST_CONTRAST:
         return None
     found = _steps(picture, edges, top_v, places, above - own, -1, 0.5)
@@ -69,7 +74,7 @@ def top_of(
 
 def _hue_change(picture: UInt8Array, edges: Lines, foot_v: float, own: FloatArray, turf: FloatArray) -> float | None:
     """The row at which the post's hue becomes the turf's, whatever the light on both, near foot_v."""
-    reach = float(np.clip(_REACH * _width(edges, foot_v), *_REACH_PX))
+    reach = _within(_REACH * _width(edges, foot_v), *_REACH_PX)
     v = np.arange(max(0, int(foot_v - reach)), min(len(picture) - 1, int(foot_v + reach)) + 1)
     left, right = edges[0][0] + edges[0][1] * v, edges[1][0] + edges[1][1] * v
     column = np.rint(left + np.array([[0.35], [0.5], [0.65]]) * (right - left)).astype(np.intp)
@@ -87,7 +92,16 @@ def _hue_change(picture: UInt8Array, edges: Lines, foot_v: float, own: FloatArra
 
 
 def _width(edges: Lines, v: float) -> float:
-    return float((edges[1] - edges[0]) @ (1.0, v))
+    return float(edges[1][0] - edges[0][0] + (edges[1][1] - edges[0][1]) * v)
+
+
+def _within(value: _Number, low: _Number, high: _Number) -> _Number:
+    return min(max(value, low), high)
+
+
+def _median(values: FloatArray) -> float:
+    ordered, half = np.sort(values), len(values) // 2
+    return float(ordered[half] if len(values) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))
 
 
 def _steps(
@@ -106,13 +120,14 @@ def _steps(
     of it is a step. most_px: up and down from near_v.
     """
     width = _width(edges, near_v)
-    reach = min(float(np.clip(_REACH * width, *_REACH_PX)), most_px)
+    reach = min(_within(_REACH * width, *_REACH_PX), most_px)
     height, columns = picture.shape[:2]
     v = np.rint(near_v).astype(np.intp) + outwards * np.arange(-round(reach), round(reach) + 1)
     v = v[(v >= 0) & (v < height)]
     if len(v) < 8:
         return None
-    at = np.linspace(*places, int(np.clip((places[1] - places[0]) * width + 1.0, *_COLUMNS)))
+    count = _within(int((places[1] - places[0]) * width + 1.0), *_COLUMNS)
+    at = places[0] + (places[1] - places[0]) / (count - 1) * np.arange(count)
     left, right = edges[0][0] + edges[0][1] * v, edges[1][0] + edges[1][1] * v
     column = np.rint(left + at[:, None] * (right - left)).astype(np.intp)
     if (column < 0).any() or (column >= columns).any():
@@ -150,14 +165,15 @@ def _step(profiles: FloatArray, least: float) -> FloatArray:
 def _level(arc: FloatArray, rows: FloatArray, light_rows: FloatArray) -> tuple[float, float]:
     """The row where the arc (k,) is 0, and its variance, from the scatter and from how numbers and light differ."""
     both = 0.5 * (rows + light_rows)
-    off = np.abs(both - np.median(both))
-    kept = off <= max(_LEVEL * 1.4826 * float(np.median(off)), 1.0)
-    design = np.stack([np.ones_like(arc), arc], axis=1)[kept]
+    off = np.abs(both - _median(both))
+    kept = off <= max(_LEVEL * 1.4826 * _median(off), 1.0)
+    arc = arc[kept]
     # an arc as high as rows are apart could be anything: it is drawn to none, as if that had been seen once
-    normal = design.T @ design + np.diag([0.0, 0.5])
-    solution = np.linalg.solve(normal, design.T @ both[kept])
-    residual = both[kept] - design @ solution
-    variance = float(residual @ residual) / max(len(residual) - 2, 1)
-    tone = float(np.median(rows[kept] - light_rows[kept]))
-    share = float(np.linalg.inv(normal)[0, 0])
-    return float(solution[0]), _ALIKE * variance * share + tone**2 / 12.0
+    count, first, second = len(arc), float(arc.sum()), float(arc @ arc) + 0.5
+    determinant = count * second - first**2
+    side, cross = float(both[kept].sum()), float(arc @ both[kept])
+    level, height = (second * side - first * cross) / determinant, (count * cross - first * side) / determinant
+    residual = both[kept] - level - height * arc
+    variance = float(residual @ residual) / max(count - 2, 1)
+    tone = _median(rows[kept] - light_rows[kept])
+    return level, _ALIKE * variance * second / determinant + tone**2 / 12.0

@@ -112,10 +112,10 @@ def _sample(picture: UInt8Array, post: RoughPost) -> _Sampled | None:
 def _between_pixels(picture: UInt8Array, u: FloatArray, v: FloatArray) -> FloatArray:
     """(rows, samples, 2, 3): the picture's numbers and the light they stand for, at points between pixels."""
     top, left = max(0, int(v.min()) - 1), max(0, int(u.min()) - 1)
-    part = picture[top : int(v.max()) + 3, left : max(0, int(u.max())) + 3]
+    part = np.ascontiguousarray(picture[top : int(v.max()) + 3, left : max(0, int(u.max())) + 3])
     columns = (u - left).astype(np.float32)
     rows = np.broadcast_to((v - top).astype(np.float32)[:, None], u.shape)
-    both = part.astype(np.float32), LIGHT[part]
+    both = part.astype(np.float32), cv2.LUT(part, LIGHT)
     return np.stack(
         [cv2.remap(one, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for one in both], axis=2
     ).astype(np.float64)

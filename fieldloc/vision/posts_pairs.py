@@ -14,9 +14,10 @@ _WIDEST = 0.12  # of the picture's width: a post at arm's length
 _STEEPER = 0.05  # sideways per downwards, one edge than the other
 _LEAST_OVERLAP = 0.5  # of the shorter edge
 _LEAST_ROWS_PX = 8.0
-_PLACES = np.linspace(-1.0, 1.0, 5)  # across the inside, which begins beside the blur of its edges
+_PLACES = np.array([0.25, 0.5, 0.75])  # across the inside, which begins beside the blur of its edges
 _BLUR_PX = 2.0
 _HEIGHTS = np.linspace(0.1, 0.9, 5)  # along what both edges share
+_NEAREST = 6  # ends that go with a beginning
 _MOST = 28  # pairs go on, the clearest first
 
 
@@ -51,12 +52,9 @@ class Strips:
 
 def pairs_of(begins: Edges, ends: Edges, band: Band, turf: Turf, width_px: int) -> Strips:
     """Every pair that is narrow, parallel, and of one colour inside that neither side has."""
-    reaches = _reaching(begins, turf)[:, None] | _reaching(ends, turf)
-    # nearly all pairs fall out by where they are, told at the middle of the band
-    level = band.top + 0.5 * float(band.scale[1]) * len(band.likeness)
-    apart = (ends.lines @ (1.0, level)) - (begins.lines @ (1.0, level))[:, None]
-    slack = _STEEPER * (level - band.top)
-    i, j = np.nonzero(reaches & (apart > _NARROWEST_PX - slack) & (apart < _WIDEST * width_px + slack))
+    i, j = _beside(begins, ends, band, width_px)
+    reaches = _reaching(begins, turf)[i] | _reaching(ends, turf)[j]
+    i, j = i[reaches], j[reaches]
     rows = np.stack(
         [np.maximum(begins.rows[i, 0], ends.rows[j, 0]), np.minimum(begins.rows[i, 1], ends.rows[j, 1])], axis=1
     )
@@ -69,9 +67,34 @@ def pairs_of(begins: Edges, ends: Edges, band: Band, turf: Turf, width_px: int) 
     fits &= lengths.max(axis=0) > 2.0 * width
     # edges are parallel but for perspective and for what their own rows leave open
     fits &= np.abs(difference[:, 1]) < _STEEPER + 2.0 / np.maximum(shared, 1.0)
+    fits[fits] = _among_nearest(i[fits], width[fits])
     i, j = i[fits], j[fits]
     strips = Strips(begins.lines[i], ends.lines[j], rows[fits], width[fits], np.zeros(len(i)))
     return _uniform(strips, band) if len(i) else strips
+
+
+def _beside(begins: Edges, ends: Edges, band: Band, width_px: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs of rows of both that are as far apart as a post's edges, at the middle of the band."""
+    level = band.top + 0.5 * float(band.scale[1]) * len(band.likeness)
+    slack = _STEEPER * (level - band.top)
+    left, right = begins.lines @ (1.0, level), ends.lines @ (1.0, level)
+    order = np.argsort(right, kind="stable")
+    first = np.searchsorted(right[order], left + _NARROWEST_PX - slack)
+    last = np.searchsorted(right[order], left + _WIDEST * width_px + slack)
+    counts = last - first
+    i = np.repeat(np.arange(len(left)), counts)
+    return i, order[np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts - first, counts)]
+
+
+def _among_nearest(i: NDArray[np.intp], width: FloatArray) -> Mask:
+    """(n,) which of the pairs have one of the narrowest few widths of those with the same beginning i: what is of one
+    colour has few edges inside."""
+    order = np.lexsort((width, i))
+    sorted_i = i[order]
+    rank = np.arange(len(i)) - np.searchsorted(sorted_i, sorted_i)
+    kept = np.zeros(len(i), dtype=np.bool_)
+    kept[order] = rank < _NEAREST
+    return kept
 
 
 def _reaching(edges: Edges, turf: Turf) -> Mask:
@@ -83,20 +106,31 @@ def _reaching(edges: Edges, turf: Turf) -> Mask:
 
 
 def _uniform(strips: Strips, band: Band) -> Strips:
+    """Those of one colour inside that neither side has, the clearest first."""
     v = strips.rows[:, :1] + (strips.rows[:, 1:] - strips.rows[:, :1]) * _HEIGHTS
     left, right = strips.left_at(v), strips.right_at(v)
     aside = np.clip(0.3 * strips.width_px, 1.5 * band.scale[0], 6.0 * band.scale[0])[:, None]
-    half = 0.5 - np.clip(_BLUR_PX / strips.width_px, 0.2, 0.4)[:, None, None]
-    inside = band.at(left[..., None] + (right - left)[..., None] * (0.5 + half * _PLACES), v[..., None])
-    sides = np.stack([band.at(left - aside, v), band.at(right + aside, v)], axis=-1)
-    contrast = np.median(inside[..., [0, -1]] - sides, axis=1).min(axis=-1)
-    level = np.median(inside, axis=(1, 2))
-    unrest = np.median(np.abs(inside - np.median(inside, axis=1, keepdims=True)), axis=(1, 2))
-    darkest = np.median(inside.min(axis=-1), axis=1)
-    brighter_side = np.median(sides, axis=1).max(axis=-1)
-    good = (contrast > np.maximum(5.0, 0.03 * level)) & (unrest < 0.35 * contrast + 4.0)
+    within = np.clip(_BLUR_PX / strips.width_px, 0.2, 0.4)[:, None] * (right - left)
+    outmost = np.stack([left - aside, left + within, right - within, right + aside])
+    values = band.at(outmost, v)
+    contrast = np.minimum(_median(values[1] - values[0]), _median(values[2] - values[3]))
+    clear = np.flatnonzero(contrast > 5.0)
+    contrast, length = contrast[clear], (strips.rows[:, 1] - strips.rows[:, 0])[clear]
+    begin, end = outmost[1, clear], outmost[2, clear]
+    between = [band.at(begin + share * (end - begin), v[clear]) for share in _PLACES]
+    inside = np.stack([values[1, clear], *between, values[2, clear]])
+    typical = _median(inside)
+    level = np.median(typical, axis=0)
+    unrest = _median(np.abs(inside - typical[..., None])).mean(axis=0)
+    darkest = _median(inside.min(axis=0))
+    brighter_side = np.maximum(_median(values[0, clear]), _median(values[3, clear]))
+    good = (contrast > 0.03 * level) & (unrest < 0.35 * contrast + 4.0)
     good &= darkest > brighter_side + 0.3 * (level - brighter_side)
-    length = strips.rows[:, 1] - strips.rows[:, 0]
-    clear = np.where(good, contrast * np.sqrt(np.maximum(length, 0.0)), -1.0)
-    keep = np.argsort(-clear, kind="stable")[: min(_MOST, int(np.count_nonzero(good)))]
-    return replace(strips.take(keep), contrast=contrast[keep])
+    score = np.where(good, contrast * np.sqrt(np.maximum(length, 0.0)), -1.0)
+    keep = np.argsort(-score, kind="stable")[: min(_MOST, int(np.count_nonzero(good)))]
+    return replace(strips.take(clear[keep]), contrast=contrast[keep])
+
+
+def _median(values: FloatArray) -> FloatArray:
+    """(...,) of an odd number of values (..., k)."""
+    return np.asarray(np.sort(values, axis=-1)[..., values.shape[-1] // 2])

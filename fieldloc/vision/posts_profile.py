@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from fieldloc.pose import FloatArray
 from fieldloc.vision.turf import Mask
 
-_ITERATIONS = 5
+_ITERATIONS = 4
 _BLUR_PX = 0.4, 4.0  # standard deviations that a fit may come to
 _FARTHEST_PX, _FARTHEST = 3.0, 0.3  # an edge, from where it was thought to be; by the width of wide posts
 _DAMPING = 1e-3
@@ -48,18 +48,21 @@ def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Ma
     linear = np.zeros((len(values), 5))
     weight = np.ones_like(values)
     for step in range(_ITERATIONS):
-        jacobian = _derivatives(at, place, half, state, linear) * free[:, None, :]
+        jacobian = _derivatives(at, place, half, state, linear)
+        basis = jacobian[:, 3:]
+        basis[flat, 3:] = 0.0
         if step == 0:
-            basis = jacobian[..., 3:]
-            normal = basis.transpose(0, 2, 1) @ basis + 1e-6 * np.eye(5)
-            linear = np.linalg.solve(normal, basis.transpose(0, 2, 1) @ values[..., None])[..., 0] * free[:, 3:]
-            jacobian = _derivatives(at, place, half, state, linear) * free[:, None, :]
-        residual = values - (jacobian[..., 3:] @ linear[..., None])[..., 0]
+            normal = basis @ basis.transpose(0, 2, 1) + 1e-6 * np.eye(5)
+            linear = np.linalg.solve(normal, basis @ values[..., None])[..., 0] * free[:, 3:]
+            jacobian = _derivatives(at, place, half, state, linear)
+            basis = jacobian[:, 3:]
+            basis[flat, 3:] = 0.0
+        residual = values - (linear[:, None] @ basis)[:, 0]
         if step > 1:  # what is no step and no parabola counts little
             scale = 1.5 + 1.5 * np.mean(np.abs(residual), axis=1, keepdims=True)
             weight = 1.0 / (1.0 + (residual / scale) ** 2)
-        weighted = (jacobian * weight[..., None]).transpose(0, 2, 1)
-        system = weighted @ jacobian
+        weighted = jacobian * weight[:, None]
+        system = weighted @ jacobian.transpose(0, 2, 1)
         diagonal = np.diagonal(system, axis1=1, axis2=2)
         damped = system + np.eye(_UNKNOWNS) * (_DAMPING * diagonal + 1e-6)[..., None]
         change = np.linalg.solve(damped, weighted @ residual[..., None])[..., 0] * free
@@ -75,26 +78,25 @@ def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Ma
 
 
 def _derivatives(at: FloatArray, x: FloatArray, half: FloatArray, state: FloatArray, linear: FloatArray) -> FloatArray:
-    """(k, s, 8) of a profile's values by left, right and blur, by both backgrounds, and by 1, x and x^2 inside.
+    """(k, 8, s) of a profile's values by left, right and blur, by both backgrounds, and by 1, x and x^2 inside.
 
     x: (k, s) `at` in half widths (k, 1), which stay as they are when edges move.
     """
-    out = np.empty((*at.shape, _UNKNOWNS))
-    sigma = state[:, 2:3]
-    spread = sigma / half
-    out[..., 2] = 0.0
-    for side, sign in ((0, 1.0), (1, -1.0)):
-        edge = state[:, side : side + 1]
-        z = (at - edge) / sigma
-        below = ndtr(z)
-        density = np.exp(-0.5 * z * z) * (1.0 / math.sqrt(2.0 * math.pi))
-        blurred = x * below + spread * density
-        square = x * (blurred + spread * density) + spread**2 * (below - z * density)
-        inside = linear[:, 2:3] + (linear[:, 3:4] + linear[:, 4:5] * edge / half) * edge / half
-        step = (inside - linear[:, side : side + 1]) * density / sigma
-        out[..., side] = -sign * step
-        out[..., 2] -= sign * step * z
-        out[..., 3 + side] = below if side else 1.0 - below
-        for n, part in enumerate((below, blurred, square)):
-            out[..., 5 + n] = part if side == 0 else out[..., 5 + n] - part
+    out = np.empty((len(at), _UNKNOWNS, at.shape[1]))
+    edges, sigma = state[:, :2, None], state[:, 2:3, None]
+    spread = sigma / half[..., None]
+    z = (at[:, None] - edges) / sigma
+    below = ndtr(z)
+    density = np.exp(-0.5 * z * z) * (1.0 / math.sqrt(2.0 * math.pi))
+    wide = spread * density
+    blurred = x[:, None] * below + wide
+    square = x[:, None] * (blurred + wide) + spread**2 * (below - z * density)
+    level = edges / half[..., None]
+    inside = linear[:, 2:3, None] + (linear[:, 3:4, None] + linear[:, 4:5, None] * level) * level
+    step = (inside - linear[:, :2, None]) * density / sigma
+    out[:, 0], out[:, 1] = -step[:, 0], step[:, 1]
+    out[:, 2] = step[:, 1] * z[:, 1] - step[:, 0] * z[:, 0]
+    out[:, 3], out[:, 4] = 1.0 - below[:, 0], below[:, 1]
+    for n, part in enumerate((below, blurred, square)):
+        out[:, 5 + n] = part[:, 0] - part[:, 1]
     return out

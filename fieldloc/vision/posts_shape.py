@@ -8,25 +8,20 @@ curtains and legs.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldloc.colours import Colour
 from fieldloc.pose import FloatArray
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.posts_bars import bars_of
 from fieldloc.vision.posts_colour import View
+from fieldloc.vision.posts_extent import extent_of
 from fieldloc.vision.posts_pairs import Strips
 from fieldloc.vision.posts_score import score_of
 from fieldloc.vision.turf import Mask, Turf
 
-_SAMPLES = 56  # along a strip and what may be above and below it
-_REACH = 1.5, 9.0  # up and down from the strip, in its lengths and its widths
-_GAP = 0.15  # of a strip's length that may be hidden within it
 _SLIMMEST, _STOUTEST = 24.0, 4.2  # height by width, of tall goals and of low ones seen from above
 _STOUTEST_CUT = 1.3  # where the picture ends above
 _CUT = 0.5  # of a crossbar is what is known of a post whose upper end is beside the picture
-_DARKEST = 0.4  # of its own light that a post keeps in shade
-_DIFFERENT = 6.0  # of 255, from what is beside it
 _LIGHT = 1.0  # of the turf's lightest part: white is lighter than any turf in the same light
 _GREY = 0.56  # the least part of a white post's colour by its largest
 _SURE_BAR = 0.65  # of the places: with that much of a bar, another thing may hide the foot
@@ -75,7 +70,7 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
         return []
     view = View(picture, colour)
     own = _own_colours(strips, view)
-    side_tops, foot_v = _ends(strips, view, turf, own)
+    side_tops, other_tops, foot_v = extent_of(strips, view, turf, own)
     stand = _standing(strips, foot_v, foot_v - side_tops.min(axis=1), turf, len(picture))
     # a post whose foot another thing hides is still seen down to where that begins, not to less
     good = foot_v > strips.rows[:, 1] - 0.3 * (strips.rows[:, 1] - strips.rows[:, 0])
@@ -85,11 +80,12 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
     good &= _flanks(strips, side_tops.min(axis=1), foot_v, turf) < _BESIDE_TOP
     good &= foot_v - side_tops.min(axis=1) > _STOUTEST_CUT * strips.width_px
     strips, own, stand = strips.take(good), own[good], stand[good]
-    side_tops, foot_v = side_tops[good], foot_v[good]
+    side_tops, other_tops, foot_v = side_tops[good], other_tops[good], foot_v[good]
     if not len(own):
         return []
     level = view.likeness_of(own)
     bars, top_v = bars_of(strips, view, side_tops, level)
+    top_v = np.where(bars.max(axis=1) > 0.0, top_v, np.minimum(top_v, other_tops.min(axis=1)))
     whole = foot_v - top_v
     stands = (stand >= _ON_TURF) | (bars.max(axis=1) >= _SURE_BAR)
     cut = _leaves(strips, top_v, picture.shape[1])
@@ -175,80 +171,6 @@ def _own_colours(strips: Strips, view: View) -> FloatArray:
     left, right = strips.left_at(v), strips.right_at(v)
     inside = np.stack([left + f * (right - left) for f in (0.3, 0.5, 0.7)])
     return np.asarray(np.median(view.colours_at(inside, np.broadcast_to(v, inside.shape)).mean(axis=0), axis=1))
-
-
-def _ends(strips: Strips, view: View, turf: Turf, own: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where the left and the right edge end above (n, 2), and where the post ends below (n,)."""
-    length = strips.rows[:, 1] - strips.rows[:, 0]
-    reach = np.maximum(_REACH[0] * length, _REACH[1] * strips.width_px)
-    first = np.maximum(strips.rows[:, 0] - reach, 0)
-    last = np.minimum(strips.rows[:, 1] + reach, len(view.picture) - 1)
-    v = first[:, None] + (last - first)[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
-    upper, middle, level = _seen(strips, v, view, own)
-    # in light and in shade a post keeps its hue, and so does turf
-    hue, own_hue, turf_hue = _hue(middle), _hue(own)[:, None], _hue(turf.colour)
-    grassy = _total(np.abs(hue - own_hue)) >= _total(np.abs(hue - turf_hue))
-    # a line before the foot is of a post's colour, and so is what is beside it
-    grassy |= level & turf.at(np.stack([0.5 * (strips.left_at(v) + strips.right_at(v)), v], axis=-1))
-    lower = ~grassy & (_total(middle) > _DARKEST * _total(own)[:, None])
-    step = np.maximum(v[:, 1] - v[:, 0], 1e-9)
-    gap = np.maximum(1, np.round(np.maximum(_GAP * length, 3.0) / step)).astype(np.intp)
-    start = np.abs(v - strips.rows.mean(axis=1)[:, None]).argmin(axis=1)
-    # another thing may hide a part of a post, but never turf
-    below = np.arange(_SAMPLES) > start[:, None]
-    ground = np.where(below & grassy, np.arange(_SAMPLES), _SAMPLES).min(axis=1) - 1
-    foot = np.minimum(_reached(lower, start, gap, 1), np.maximum(ground, start))
-    foot_v = np.take_along_axis(v, foot[:, None], axis=1)[:, 0]
-    tops = [np.take_along_axis(v, _reached(side, start, gap, -1)[:, None], axis=1)[:, 0] for side in upper]
-    fine = np.linspace(-1.0, 1.0, 11)
-    for n, top in enumerate(tops):
-        near = np.maximum(top[:, None] + fine * step[:, None], 0.0)
-        off = ~_seen(strips, near, view, own)[0][n]
-        lowest = len(fine) - 1 - off[:, ::-1].argmax(axis=1)
-        edge = np.take_along_axis(near, np.minimum(lowest + 1, len(fine) - 1)[:, None], axis=1)[:, 0]
-        tops[n] = np.where(off.any(axis=1), edge, top)
-    return np.stack(tops, axis=1), foot_v
-
-
-def _seen(strips: Strips, v: FloatArray, view: View, own: FloatArray) -> tuple[list[Mask], FloatArray, Mask]:
-    """Where (n, k) the inside has its colour and the left side less of it, so of the right; what the inside is; where
-    both sides are as the inside."""
-    left, right = strips.left_at(v), strips.right_at(v)
-    aside = strips.aside_px[:, None]
-    middle = np.mean([view.colours_at(left + f * (right - left), v) for f in (0.3, 0.5, 0.7)], axis=0)
-    level, contrast = view.likeness_of(own)[:, None], strips.contrast[:, None]
-    inside = view.likeness_of(middle)
-    same = inside > level - np.maximum(12.0, 0.5 * contrast)
-    sides = np.stack([view.likeness_at(left - aside, v), view.likeness_at(right + aside, v)])
-    level_sides = np.abs(sides - inside).max(axis=0) < 0.3 * contrast
-    # lighter walls may be behind a post, too
-    return (
-        [same & (np.abs(inside - side) > np.maximum(_DIFFERENT, 0.15 * contrast)) for side in sides],
-        middle,
-        level_sides,
-    )
-
-
-def _total(colours: FloatArray) -> FloatArray:
-    return np.asarray(colours[..., 0] + colours[..., 1] + colours[..., 2])
-
-
-def _hue(colours: FloatArray) -> FloatArray:
-    """(..., 3) shares of blue, green and red, those of the dark drawn to nothing."""
-    return np.asarray(colours / (_total(colours)[..., None] + 30.0))
-
-
-def _reached(good: Mask, start: NDArray[np.intp], gap: NDArray[np.intp], step: int) -> NDArray[np.intp]:
-    """(n,) the last good one of each row from its start on, up (-1) or down (+1), without a gap that is too long."""
-    if step < 0:
-        count = good.shape[1] - 1
-        return np.asarray(count - _reached(good[:, ::-1], count - start, gap, 1))
-    place = np.broadcast_to(np.arange(good.shape[1]), good.shape)
-    counts = good & (place >= start[:, None])
-    latest = np.maximum.accumulate(np.where(counts, place, start[:, None]), axis=1)
-    stopped = (place - latest > gap[:, None]) & (place > start[:, None])
-    end = np.where(stopped.any(axis=1), stopped.argmax(axis=1), good.shape[1] - 1)
-    return np.asarray(np.take_along_axis(latest, end[:, None], axis=1)[:, 0])
 
 
 def _standing(strips: Strips, foot_v: FloatArray, length: FloatArray, turf: Turf, height: int) -> FloatArray:
