@@ -61,27 +61,22 @@ class Cameras:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
-    """Every end seen beside every line of the map. rays, across: (k, l, 2, 3) in the field; down: (k, l, 2) how much
-    the rays point down; normals: (k, m, 3) of the planes through the camera and each line; slope: (k, l, 2, m) their
-    distance's change with a pixel; error: (k, l, 2, m) px."""
+    """Every end seen beside every line of the map. rays: (k, l, 2, 3) in the field; down: (k, l, 2) how much they point
+    down; off: (k, l, 2, m) how far they are from the plane through the camera and each line, slope: (k, l, 2, m) its
+    change with a pixel."""
 
     rays: FloatArray
-    across: FloatArray
     down: FloatArray
-    normals: FloatArray
+    off: FloatArray
     slope: FloatArray
-    error: FloatArray
 
     @staticmethod
     def of(cameras: Cameras) -> "Lines":
-        sight, shape = cameras.sight, cameras.shape
-        both = cameras.turned(sight.line_both)  # (k, 2, l, 2, 3)
-        normals = line_normals(cameras)
-        size = (len(cameras.states), 2, len(sight.line_rays), 2, len(shape.starts))
-        off, slope = (both.reshape(size[0], -1, 3) @ normals.transpose(0, 2, 1)).reshape(size).transpose(1, 0, 2, 3, 4)
-        slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
-        error = np.minimum(np.maximum(off / slope, -_FAR_PX), _FAR_PX)
-        return Lines(both[:, 0], both[:, 1], -both[:, 0, ..., 2], normals, slope, error)
+        both = cameras.turned(cameras.sight.line_both)  # (k, 2, l, 2, 3)
+        normals = line_normals(cameras).transpose(0, 2, 1)
+        size = (*both.shape[:-1], normals.shape[2])
+        off, slope = (both.reshape(size[0], -1, 3) @ normals).reshape(size).transpose(1, 0, 2, 3, 4)
+        return Lines(both[:, 0], -both[:, 0, ..., 2], off, slope)
 
 
 def line_normals(cameras: Cameras) -> FloatArray:
@@ -102,23 +97,23 @@ def line_errors(cameras: Cameras, match: IntArray) -> tuple[FloatArray, FloatArr
     First of both ends, in px, then of the widths there: the logarithm of what is seen to what is expected, NaN where it
     is not seen.
     """
-    lines, sight, shape = cameras.lines, cameras.sight, cameras.shape
-    row, column = np.arange(len(match))[:, None], np.arange(match.shape[1])
-    normals = lines.normals[row, match][:, :, None, :]
-    slope = lines.slope[row, column, :, match]
-    per_m = np.abs(lines.down / slope)
+    sight, shape = cameras.sight, cameras.shape
+    rays, across = cameras.turned(sight.line_both).transpose(1, 0, 2, 3, 4)
+    normals = line_normals(cameras)[np.arange(len(match))[:, None], match][:, :, None, :]
+    slope = (across * normals).sum(axis=-1)
+    slope = np.where(np.abs(slope) < _TINY, _TINY, slope)
+    per_m = np.abs(rays[..., 2] / slope)
     error = np.empty((*match.shape, 2, 2))
-    error[:, :, 0] = lines.error[row, column, :, match]
+    error[:, :, 0] = np.minimum(np.maximum((rays * normals).sum(axis=-1) / slope, -_FAR_PX), _FAR_PX)
     error[:, :, 1] = np.log(sight.widths / np.maximum(per_m * shape.line_width_m, _TINY))
     direction = np.zeros((*match.shape, 1, 3))
     direction[..., 0, :2] = shape.directions[match]
-    rays, across = lines.rays, lines.across
     both = np.empty((*match.shape, 2, 2, 3))
     both[:, :, 0], both[:, :, 1] = rays, across
     scale = slope[:, :, None, :, None]
     by_centre = cross(both, direction[:, :, None]) / scale
     by_turn = cross(both, normals[:, :, None]) / scale
-    down = np.maximum(lines.down, 1e-3)
+    down = np.maximum(-rays[..., 2], 1e-3)
     by_turn[:, :, 1, :, 0] += rays[..., 1] / down  # rays x up
     by_turn[:, :, 1, :, 1] -= rays[..., 0] / down
     by_focal = np.empty((match.shape[1], 2, 2))

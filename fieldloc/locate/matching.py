@@ -18,6 +18,7 @@ from fieldloc.pose import FloatArray
 
 ARC = -2  # the match of a line that is a piece of a circle: explained, but of no use
 _LOG_2PI = float(np.log(2.0 * np.pi))
+_NEAR_PX = 40.0  # what is farther off is not that line, however bad the map
 _OVER_M, _OVER_PX = 0.08, 4.0  # by how much an end is found beyond the line's
 _WIDTH_PX, _WIDTH = 1.0, 0.2  # how far off a line's width may be: blur, and lines laid by hand
 _ARC_PX = 3.0  # by how much a straight piece of a circle's line is off it
@@ -39,6 +40,11 @@ class Matches:
     post_gains: FloatArray
     circle: IntArray
     circle_gains: FloatArray
+
+    @staticmethod
+    def none() -> "Matches":
+        whole, share = np.zeros((0, 0), dtype=np.intp), np.zeros((0, 0))
+        return Matches(whole, share, whole, share, whole.ravel(), share.ravel())
 
     def take(self, rows: IntArray) -> "Matches":
         return Matches(
@@ -96,6 +102,12 @@ class Noise:
         """(k, l, 2, ...) px^2 of the model alone."""
         return self._of(self.settings.map_m * px_per_m)
 
+    def at(self, rows: IntArray, px_per_m: FloatArray) -> FloatArray:
+        """(n, 2) px^2 of the model alone, of states (n,)."""
+        scale = self.scale[rows, None] if len(self.scale) > 1 else self.scale
+        map_px = self.settings.map_m * px_per_m
+        return np.asarray(scale * (self.settings.model_px**2 + map_px * map_px) + self.widen_px**2)
+
     def of_circle(self, px_per_m: FloatArray) -> FloatArray:
         return np.asarray(self._of(self.settings.map_m * px_per_m) + self.sight.circle_sigmas**2)
 
@@ -124,31 +136,33 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     if not lines or not len(shape.starts):
         return np.full((count, lines), -1), np.zeros((count, lines))
     seen = cameras.lines
-    px_per_m = np.abs(seen.down[..., None] / seen.slope)
     below = seen.down > 1e-3
+    before = below[:, :, 0] & below[:, :, 1]
     down = np.maximum(seen.down, 1e-3)
     reach = cameras.centre[:, 2, None, None] / down
     ground = cameras.centre[:, None, None, :2] + reach[..., None] * seen.rays[..., :2]
     m_per_px = reach / (down * sight.focal_px)
-    model = noise.of_lines(px_per_m)
-    a = model[:, :, 0] + sight.line_noise[:, 0, 0, None]
-    b = sight.line_noise[:, 0, 1, None]
-    c = model[:, :, 1] + sight.line_noise[:, 1, 1, None]
-    determinant = a * c - b * b
-    first, second = seen.error[:, :, 0], seen.error[:, :, 1]
-    misfit = (c * first * first - 2.0 * b * first * second + a * second * second) / determinant
-    along = ground @ shape.directions.T - shape.starts_along
-    over = np.maximum(np.maximum(-along, along - shape.lengths), 0.0)
-    over /= (_OVER_M + (_OVER_PX + noise.widen_px) * m_per_px)[..., None]
-    misfit += np.minimum(over[:, :, 0] * over[:, :, 0] + over[:, :, 1] * over[:, :, 1], 1e6)
-    gain = -0.5 * (misfit + np.log(determinant)) - _LOG_2PI
-    before = below[:, :, 0] & below[:, :, 1]
+    # most lines of the map are far from what is seen: only of the others one has to know how far
+    near = np.abs(seen.off) < (_NEAR_PX + 4.0 * noise.widen_px) * np.abs(seen.slope)
+    row, column, mark = np.nonzero(near[:, :, 0] & near[:, :, 1] & before[..., None])
+    slope = seen.slope[row, column, :, mark]
+    px_per_m = np.abs(seen.down[row, column] / slope)
+    variance = noise.at(row, px_per_m) + sight.line_noise.diagonal(axis1=1, axis2=2)[column]
+    together = sight.line_noise[column, 0, 1]
+    determinant = variance[:, 0] * variance[:, 1] - together * together
+    first, second = (seen.off[row, column, :, mark] / slope).T
+    misfit = (variance[:, 1] * first - 2.0 * together * second) * first + variance[:, 0] * second * second
+    along = (ground @ shape.directions.T)[row, column, :, mark] - shape.starts_along[mark, None]
+    over = np.maximum(np.maximum(-along, along - shape.lengths[mark, None]), 0.0)
+    over /= _OVER_M + (_OVER_PX + noise.widen_px) * m_per_px[row, column]
+    off = misfit / determinant + over[:, 0] * over[:, 0] + over[:, 1] * over[:, 1]
+    gain = np.full((count, lines, len(shape.starts)), -np.inf)
+    gain[row, column, mark] = -0.5 * (off + np.log(determinant)) - _LOG_2PI
     best = gain.argmax(axis=2)
-    row, column = np.arange(count)[:, None], np.arange(lines)
     log_clutter = -2.0 * np.log(sight.camera.height_px)
     log_odds = np.log((1.0 - settings.false_line) / settings.false_line) - np.log(len(shape.starts))
-    gains = gain[row, column, best] - log_clutter + log_odds + _widths_fit(noise, px_per_m[row, column, :, best])
-    gains = np.where(before, gains, 0.0)
+    slope = seen.slope[np.arange(count)[:, None], np.arange(lines), :, best]
+    gains = gain.max(axis=2) - log_clutter + log_odds + _widths_fit(noise, np.abs(seen.down / slope))
     best, gains = np.where(gains > 0.0, best, -1), np.maximum(gains, 0.0)
     arc = _arcs_fit(noise, ground, m_per_px) - log_clutter + log_odds
     is_arc = before & (arc > gains)
@@ -169,16 +183,18 @@ def _arcs_fit(noise: Noise, ground: FloatArray, m_per_px: FloatArray) -> FloatAr
 
 
 def _widths_fit(noise: Noise, px_per_m: FloatArray) -> FloatArray:
-    """(k, l) log density of the widths at both ends, less that of any width; zero where they are not known."""
+    """(k, l) log density of the widths at both ends where the map has so many pixels per metre (k, l, 2), less that of
+    any width; zero where they are not known."""
     sight = noise.sight
-    known = np.asarray(np.isfinite(sight.widths), dtype=np.bool_)
+    known = np.isfinite(sight.widths)
     seen, sigma = np.where(known, sight.widths, 0.0), np.where(known, sight.width_sigmas, 1.0)
     expected = np.minimum(px_per_m * noise.shape.line_width_m, 1e3)
     variance = sigma**2 + _WIDTH_PX**2 + (_WIDTH * expected) ** 2
-    fit = -0.5 * (seen - expected) ** 2 / variance - 0.5 * np.log(2.0 * np.pi * variance) - _LOG_WIDTH
+    off = seen - expected
+    fit = -0.5 * (off * off / variance + np.log(variance) + _LOG_2PI) - _LOG_WIDTH
     # both ends' widths are one and the same error: their mean says it
-    ends = np.maximum(np.sum(known, axis=1), 1)
-    return np.asarray(np.where(known, fit, 0.0).sum(axis=2) / ends)
+    share = known / np.maximum(np.sum(known, axis=1, keepdims=True), 1)
+    return np.asarray((fit * share).sum(axis=2))
 
 
 def _match_posts(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:

@@ -10,6 +10,7 @@ from fieldloc.field import FieldMap
 from fieldloc.locate.attitude import attitudes
 from fieldloc.locate.candidates import candidates
 from fieldloc.locate.hypotheses import Hypothesis, Located
+from fieldloc.locate.matching import Matches
 from fieldloc.locate.prior import CameraPrior
 from fieldloc.locate.refine import linearise, stepped
 from fieldloc.locate.settings import LocateSettings
@@ -20,13 +21,10 @@ from fieldloc.locate.task import Task
 from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import Detections
 
-_ROUGH_PX = 12.0  # by how much candidates are off
-_ANNEALED_PX = (10.0, 10.0, 5.0, 2.0)  # by how much they may be off, step by step
+_STAGES = ((10.0, 35.0, 2), (4.0, 40.0, 1), (1.0, 30.0, 1), (0.0, 30.0, 1))
+"""By how much states may be off, px; so much worse than the best is hopeless; how often they are fitted."""
 _SHARPER = 0.25
-_LAST_STEPS = 2
-_DOUBTED, _DOUBTING_PX = 4, 5.0  # states are fitted without their posts, too, from then on
-_MARGIN = 35.0  # so much worse than the best is hopeless among candidates
-_MARGINS = (60.0, 60.0, 40.0, 30.0)  # and among refined states: the right one stands out the more the sharper one looks
+_DOUBTED, _DOUBTING = 4, 1  # states are fitted without their posts, too, from that stage on
 _NEGLIGIBLE = 1e-4
 
 
@@ -46,36 +44,32 @@ def locate(
     states = candidates(task.sight, task.shape, prior, attitudes(task.sight, prior).angles)
     if not len(states):
         return Located((), 1.0)
-    _, scores = task.matched(states, _ROUGH_PX)
-    states = states[task.best(states, scores, settings.candidates, _MARGIN)]
-    states = _refined(task, states)
-    settled = settle(task, states)
+    settled = settle(task, *_refined(task, states))
     rows = task.best(settled.states, settled.log_evidence, settings.hypotheses, np.inf)
     return _answer(task, settled, rows, detections)
 
 
-def _refined(task: Task, states: FloatArray) -> FloatArray:
+def _refined(task: Task, states: FloatArray) -> tuple[FloatArray, Matches]:
     """Matched with ever less tolerance, and fitted; those that are left at the end."""
     doubted = np.zeros(len(states), dtype=np.bool_)
-    for widen_px, margin in zip(_ANNEALED_PX, _MARGINS, strict=True):
+    matches = Matches.none()
+    for stage, (widen_px, margin, times) in enumerate(_STAGES):
+        if widen_px == 0.0:
+            doubted[:] = False
         matches, scores = task.matched(states, widen_px, doubted)
-        rows = task.best(states, scores, len(states), margin, doubted)
-        if widen_px == _DOUBTING_PX:
+        rows = task.best(states, scores, task.settings.candidates, margin, doubted)
+        doubted, states, matches = doubted[rows], states[rows], matches.take(rows)
+        if stage == _DOUBTING:
             # what stands beside the field and looks like a post keeps a fit from where all else would have it
-            again = rows[:_DOUBTED][(matches.posts[rows[:_DOUBTED]] >= 0).any(axis=1)]
-            rows, doubted = np.append(rows, again), np.arange(len(rows) + len(again)) >= len(rows)
-            matches = matches.take(rows).without_posts(doubted)
-        else:
-            doubted, matches = doubted[rows], matches.take(rows)
+            again = np.flatnonzero((matches.posts[:_DOUBTED] >= 0).any(axis=1))
+            rows = np.concatenate([np.arange(len(states)), again])
+            doubted = np.arange(len(rows)) >= len(states)
+            states, matches = states[rows], matches.take(rows).without_posts(doubted)
         # who is who is seen with tolerance, but where that is weighs against the prior as it will in the end
         sharp = task.noise(_SHARPER * widen_px)
-        states = stepped(states[rows], linearise(task.cameras(states[rows]), sharp, matches, task.prior))
-    for _ in range(_LAST_STEPS):
-        matches, scores = task.matched(states)
-        rows = task.best(states, scores, task.settings.hypotheses, _MARGINS[-1])
-        states, matches = states[rows], matches.take(rows)
-        states = stepped(states, linearise(task.cameras(states), task.noise(), matches, task.prior))
-    return states
+        for _ in range(times):
+            states = stepped(states, linearise(task.cameras(states), sharp, matches, task.prior))
+    return states, matches
 
 
 def _log_false(task: Task) -> float:

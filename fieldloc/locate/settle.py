@@ -51,8 +51,8 @@ class Settled:
         )
 
 
-def settle(task: Task, states: FloatArray) -> Settled:
-    whole = _settled(task, states, Windows.none(len(states)))
+def settle(task: Task, states: FloatArray, matches: Matches) -> Settled:
+    whole = _settled(task, states, matches, Windows.none(len(states)))
     order = np.argsort(-whole.log_evidence, kind="stable")
     order = order[whole.log_evidence[order] > whole.log_evidence.max(initial=-np.inf) - _WORTH_CUTTING]
     pieces, windows, parents = cut(whole.states, whole.covariances, order)
@@ -61,7 +61,7 @@ def settle(task: Task, states: FloatArray) -> Settled:
         for _ in range(_STEPS):
             pieces = stepped(pieces, linearise(task.cameras(pieces), task.noise(), matches, task.prior, windows))
         whole = whole.take(np.setdiff1d(np.arange(len(whole.states)), parents)).and_also(
-            _settled(task, pieces, windows)
+            _settled(task, pieces, matches, windows)
         )
     known = (whole.covariances[:, [0, 1, 2], [0, 1, 2]] < _UNKNOWN**2).all(axis=1)
     log_evidence = np.where(known, whole.log_evidence, -np.inf)
@@ -69,13 +69,13 @@ def settle(task: Task, states: FloatArray) -> Settled:
     return whole.take(good)
 
 
-def _settled(task: Task, states: FloatArray, windows: Windows) -> Settled:
+def _settled(task: Task, states: FloatArray, matches: Matches, windows: Windows) -> Settled:
     shape, prior, settings = task.shape, task.prior, task.settings
     count, amounts = len(states), len(_AMOUNTS)
     noise = Noise(task.sight, shape, settings, 0.0, np.tile(_AMOUNTS, count))
     windows = windows.repeat(amounts)
     fitted = np.repeat(states, amounts, axis=0)
-    matches = match(task.cameras(states), task.noise()).take(np.repeat(np.arange(count), amounts))
+    matches = matches.take(np.repeat(np.arange(count), amounts))
     fitted = stepped(fitted, linearise(task.cameras(fitted), noise, matches, prior, windows))
     cameras = task.cameras(fitted)
     matches = match(cameras, noise)
