@@ -1,5 +1,6 @@
 """Lines, circle, corners and marks in drawn pictures, whose truth is exact, and in two real ones."""
 
+import time
 from pathlib import Path
 
 import cv2
@@ -229,6 +230,28 @@ def test_lines_are_straight_through_the_lens(rng):
     )
     assert np.abs(off).max() < 0.3  # interpolation twice
     assert np.ptp(seen[0].ends_px[:, 0]) > 560.0
+
+
+def scattered(rng, name):
+    green = np.full((480, 640, 3), (50, 140, 60), np.uint8)
+    if name == "salt":
+        return np.where(rng.random((480, 640, 1)) < 0.02, np.uint8(255), green)
+    for _ in range(300):
+        begin = rng.integers(0, [640, 480])
+        if name == "strokes":
+            cv2.line(green, begin.tolist(), (begin + rng.integers(-80, 80, 2)).tolist(), (255, 255, 255), 3)
+        else:
+            axes, turn, arc = rng.integers(20, 200, 2).tolist(), rng.uniform(0, 180), rng.uniform(30, 360)
+            cv2.ellipse(green, begin.tolist(), axes, turn, 0, arc, (255, 255, 255), 3)
+    return green
+
+
+@pytest.mark.parametrize("name", ["salt", "strokes", "curves"])
+def test_no_picture_takes_long(rng, name):
+    picture = scattered(rng, name)
+    start = time.process_time()
+    detect(picture, camera=CAMERA)
+    assert time.process_time() - start < 1.0  # 0.1 s; a field takes 0.02 s
 
 
 @pytest.mark.parametrize("name", ["black", "white", "green", "noise", "grey", "one", "row", "column", "checker"])

@@ -1,4 +1,7 @@
+import os
 import struct
+import subprocess
+import sys
 import zlib
 
 import cv2
@@ -75,6 +78,16 @@ def test_a_file_on_disk_is_read(tmp_path):
     path = tmp_path / "shot.png"
     path.write_bytes(encode(PICTURE, ".png"))
     assert np.array_equal(load_picture(path), PICTURE)
+
+
+@pytest.mark.parametrize(("told", "threads"), [(None, "1"), ("3", "3")])
+def test_opencv_has_one_thread_unless_the_environment_says_more(told, threads):
+    environment = {key: value for key, value in os.environ.items() if key != "OPENCV_FOR_THREADS_NUM"}
+    if told:
+        environment["OPENCV_FOR_THREADS_NUM"] = told
+    code = "import fieldloc.vision.picture, cv2; print(cv2.getNumThreads())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.strip() == threads
 
 
 @pytest.mark.parametrize("suffix", ["", ".xyz", "png"])
