@@ -42,8 +42,9 @@ class NoisePrior:
     """What is thought of a sensor's scans before it has shown how good it is.
 
     own, shared: ScanNoise's shares, of ranges and bearings alike; own_log_sigma, shared_log_sigma: standard deviations
-    of their logarithms, with which they are learned. 0 takes the log at its word. By how much a whole scan is turned
-    nothing within it can show: what landmarks' own errors leave of the stated variance of a bearing is taken for that.
+    of their logarithms, with which they are learned. 0 takes the log at its word. What landmarks' own errors leave of
+    the variance that was thought of is taken for shared: of bearings always, as nothing within a scan can show by how
+    much all of it is turned; of ranges until scans show how much it is, which few do.
     """
 
     own: float = 1.0

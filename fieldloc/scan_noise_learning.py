@@ -54,9 +54,21 @@ class NoiseLearner:
     @property
     def noise(self) -> ScanNoise:
         """As thought now."""
-        own_range, own_bearing, shared = np.exp(self._log_shares).tolist()
+        own_range, own_bearing, shared = self._shares.tolist()
         turned = max(1.0 - own_bearing, self._prior.shared)
         return ScanNoise(own_range, own_bearing, shared if shared > 1.01 * _NOTHING else 0.0, turned)
+
+    @property
+    def _shares(self) -> FloatArray:
+        """(3,) own_range, own_bearing, shared_range. Few scans tell what they share, so it is thought to be what own
+        errors leave of the variance that was thought of before, until they do."""
+        out = np.exp(self._log_shares)
+        out[2] *= self._left(out[0]) / max(self._prior.shared, _NOTHING)
+        return np.asarray(out)
+
+    def _left(self, own_range: float) -> float:
+        least = max(self._prior.shared, _NOTHING)
+        return max(least, least + self._prior.own - own_range) if self._sigmas[2] > 0.0 else least
 
     @property
     def log_sigmas(self) -> FloatArray:
@@ -68,7 +80,7 @@ class NoiseLearner:
         """news: by how much it counts, less if it is much the same as before."""
         size = met.error.size
         parts = _parts(met.stated)
-        shares = np.exp(self._log_shares)
+        shares = self._shares
         flat = met.jacobian.reshape(size, 3)
         whole = np.tensordot(shares, parts, 1) + _blocks(met.survey) + (flat * _ANYWHERE) @ flat.T
         precision = np.linalg.inv(whole)

@@ -12,6 +12,7 @@ from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.scan_noise import AS_STATED, UNLEARNED, NoisePrior, ScanNoise
+from fieldloc.scan_noise_learning import NoiseLearner, ScanErrors
 from fieldloc.scan_noises import LearnedNoise
 
 POSITIONS = np.array([[4.0, 1.0], [3.0, -2.5], [-2.5, 3.0], [0.5, -4.0], [3.5, 3.2], [-3.0, -3.0]])
@@ -120,6 +121,22 @@ def test_a_bearing_is_as_uncertain_as_stated_even_where_landmarks_agree() -> Non
     """Within a scan nothing shows by how much all of it is turned."""
     one = learned(ScanNoise(1.0, 0.4, 0.0, 0.6), NoisePrior())
     assert one.noise.own_bearing + one.noise.shared_bearing == pytest.approx(1.0, abs=0.05)
+
+
+def test_ranges_are_as_uncertain_as_stated_where_neighbours_agree_and_more_is_not_seen() -> None:
+    """Two landmarks side by side show their own errors, not what both of them share."""
+    random = np.random.default_rng(4)
+    learner = NoiseLearner(NoisePrior())
+    bearings, range_m, sigmas = np.array([0.0, 0.06]), 3.0, np.array([0.15, 0.02])
+    c, s, none = np.cos(bearings), np.sin(bearings), np.zeros(2)
+    jacobian = np.stack(
+        [np.stack([-c, -s, none], axis=-1), np.stack([s / range_m, -c / range_m, none - 1.0], axis=-1)], axis=1
+    )
+    for _ in range(100):
+        error = 0.5 * sigmas * (random.standard_normal((2, 2)) + 3**0.5 * random.standard_normal(2))
+        learner.learn(ScanErrors(error, jacobian, np.tile(np.diag(sigmas**2), (2, 1, 1)), np.zeros((2, 2, 2))), 1.0)
+    assert learner.noise.own_range < 0.5
+    assert 0.9 < learner.noise.own_range + learner.noise.shared_range < 1.3
 
 
 def test_nobody_is_believed_to_be_far_better_than_he_says() -> None:
