@@ -19,7 +19,7 @@ from fieldloc.vision.posts_shape import Upright, alike, apart, is_mate, uprights
 from fieldloc.vision.straight import Plane
 from fieldloc.vision.turf import Turf
 
-_LEAST_WHOLE, _LEAST_CUT = 0.6, 0.65  # scores of posts with both ends in the picture, and of others
+_LEAST_WHOLE, _LEAST_CUT = 0.65, 0.7  # scores of posts with both ends in the picture, and of others
 _LEAST_UNSURE = 0.5  # where nothing scores more, or another post's crossbar leads there
 _MOST, _FEW = 4, 3  # posts in a picture, the likeliest
 _DEFAULTS = FieldColours()

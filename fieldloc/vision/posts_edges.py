@@ -80,7 +80,7 @@ def upright_edges(band: Band) -> tuple[Edges, Edges]:
     parts = [_ridges(change, across, least), _ridges(-change, across, least)]
     count = int(parts[0][2].max(initial=-1)) + 1
     u, v = (np.concatenate([part[n] for part in parts]) for n in (0, 1))
-    lines, rows, label = _fitted(u, v, np.concatenate([parts[0][2], parts[1][2] + count]))
+    lines, rows, label = _pieces(u, v, np.concatenate([parts[0][2], parts[1][2] + count]))
     across_px, down_px = (float(x) for x in band.scale)
     steep = np.abs(lines[:, 1]) * across_px / down_px < _STEEPEST
     lines, rows, ending = lines[steep], rows[steep], label[steep] >= count
@@ -128,6 +128,27 @@ def _peak_offset(change: NDArray[np.int16], spots: NDArray[np.intp]) -> FloatArr
     return np.clip(0.5 * (before - after) / np.minimum(before - 2.0 * here + after, -1e-9), -0.5, 0.5)
 
 
+def _pieces(u: FloatArray, v: FloatArray, label: Labels) -> tuple[FloatArray, FloatArray, Labels]:
+    """As `_fitted`, of what is not straight, as it is bent or goes over into something else, the upper and the lower
+    half by themselves."""
+    lines, rows, straight = _fitted(u, v, label)
+    groups = int(label.max()) + 1 if label.size else 0
+    count = np.bincount(label, minlength=groups)
+    bent = count >= 3 * _LEAST_ROWS
+    bent[straight] = False
+    rest = bent[label]
+    if not rest.any():
+        return lines, rows, straight
+    u, v, label = u[rest], v[rest], label[rest]
+    middle = np.bincount(label, v, minlength=groups) / np.maximum(count, 1)
+    halves = _fitted(u, v, 2 * label + (v > middle[label]))
+    return (
+        np.concatenate([lines, halves[0]]),
+        np.concatenate([rows, halves[1]]),
+        np.concatenate([straight, halves[2] // 2]),
+    )
+
+
 def _fitted(u: FloatArray, v: FloatArray, label: Labels) -> tuple[FloatArray, FloatArray, Labels]:
     """Lines (m, 2), first and last rows (m, 2) and labels (m,) of the groups that are straight, fitted with Cauchy
     weights; each group's rows ascend."""
@@ -145,7 +166,7 @@ def _fitted(u: FloatArray, v: FloatArray, label: Labels) -> tuple[FloatArray, Fl
     middle_u = np.bincount(label, u, minlength=groups) / np.maximum(rough, 1)
     dv, du = v - middle_v[label], u - middle_u[label]
     for _ in range(2):
-        mass = rough if weight is None else np.bincount(label, weight, minlength=groups)
+        mass = np.maximum(rough if weight is None else np.bincount(label, weight, minlength=groups), 1e-9)
         sum_v, sum_u = (total(dv), total(du)) if weight is not None else (0.0, 0.0)
         slope = (total(du * dv) - sum_u * sum_v / mass) / np.maximum(total(dv * dv) - sum_v**2 / mass, 1e-9)
         intercept = (sum_u - slope * sum_v) / mass

@@ -67,7 +67,7 @@ def pairs_of(begins: Edges, ends: Edges, band: Band, turf: Turf, width_px: int) 
     fits &= lengths.max(axis=0) > 2.0 * width
     # edges are parallel but for perspective and for what their own rows leave open
     fits &= np.abs(difference[:, 1]) < _STEEPER + 2.0 / np.maximum(shared, 1.0)
-    fits[fits] = _among_nearest(i[fits], width[fits])
+    fits[fits] = _among_slimmest(i[fits], (width / np.maximum(shared, 1.0))[fits])
     i, j = i[fits], j[fits]
     strips = Strips(begins.lines[i], ends.lines[j], rows[fits], width[fits], np.zeros(len(i)))
     return _uniform(strips, band) if len(i) else strips
@@ -86,7 +86,7 @@ def _beside(begins: Edges, ends: Edges, band: Band, width_px: int) -> tuple[NDAr
     return i, order[np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts - first, counts)]
 
 
-def _among_nearest(i: NDArray[np.intp], width: FloatArray) -> Mask:
+def _among_slimmest(i: NDArray[np.intp], width: FloatArray) -> Mask:
     """(n,) which of the pairs have one of the narrowest few widths of those with the same beginning i: what is of one
     colour has few edges inside."""
     order = np.lexsort((width, i))

@@ -19,8 +19,10 @@ from fieldloc.vision.posts_pairs import Strips
 from fieldloc.vision.posts_score import score_of
 from fieldloc.vision.turf import Mask, Turf
 
+_NARROWED_PX = 1.5  # shade takes from the width of posts
 _SLIMMEST, _STOUTEST = 24.0, 4.2  # height by width, of tall goals and of low ones seen from above
 _STOUTEST_CUT = 1.3  # where the picture ends above
+_UNBROKEN = 0.4  # for both edges from top to foot, against none
 _CUT = 0.5  # of a crossbar is what is known of a post whose upper end is beside the picture
 _LIGHT = 1.0  # of the turf's lightest part: white is lighter than any turf in the same light
 _GREY = 0.56  # the least part of a white post's colour by its largest
@@ -92,11 +94,11 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
     good = (
         stands
         & (whole > np.where(cut, _STOUTEST_CUT, _STOUTEST) * strips.width_px)
-        & (whole < _SLIMMEST * strips.width_px)
+        & (whole < _SLIMMEST * (strips.width_px + _NARROWED_PX))
     )
-    seen = np.minimum(1.0, 2.0 * (strips.rows[:, 1] - strips.rows[:, 0]) / np.maximum(whole, 1.0))
+    seen = np.minimum(1.0, (strips.rows[:, 1] - strips.rows[:, 0]) / np.maximum(whole, 1.0))
     score = np.maximum(np.where(cut, _CUT, 0.0), bars.max(axis=1))
-    score += score_of(strips, view, turf, top_v, foot_v, level) + 0.3 * (seen - 1.0) + 0.4 * (stand - 1.0)
+    score += score_of(strips, view, turf, top_v, foot_v, level) + _UNBROKEN * (seen - 0.5) + 0.4 * (stand - 1.0)
     return [
         Upright(
             strips.left[i],
