@@ -123,9 +123,12 @@ class _Windows:
 
 def find_ellipse(chains: list[FloatArray], view: View) -> tuple[Ellipse, list[Mask]] | None:
     """The circle's ellipse and per chain (m, 3) which of its points are on it; None without one."""
-    arcs = sorted((chain for chain in chains if _is_bent(chain)), key=len, reverse=True)[:_ARCS]
+    arcs = [chain for chain in chains if _is_bent(chain)]
+    if arcs:
+        arcs = [arc for arc, smooth in zip(arcs, _are_smooth(arcs), strict=True) if smooth]
     if not arcs:
         return None
+    arcs = sorted(arcs, key=len, reverse=True)[:_ARCS]
     windows = _windows(chains)
     points, near = windows.points, windows.near_px
     tried = []
@@ -171,11 +174,16 @@ def is_round(ellipse: Ellipse, chains: list[FloatArray]) -> bool:
     return bool(chains) and _explained(ellipse, _windows(chains), _BENT_MEASURED) > 0
 
 
+def _count_of(points: int) -> int:
+    """Windows of a chain; a corner of two lines is in one of three at most."""
+    return min(max(1, points // _WINDOW), 3)
+
+
 def _windows(chains: list[FloatArray]) -> _Windows:
     table = np.concatenate(chains)
     sizes = []
     for chain in chains:
-        count = min(max(1, len(chain) // _WINDOW), 3)  # a corner of two lines is in one of three at most
+        count = _count_of(len(chain))
         sizes += [(len(chain) + part) // count for part in range(count)]
     size = np.array(sizes)
     begins = np.cumsum(size) - size
@@ -231,6 +239,21 @@ def _is_bent(chain: FloatArray) -> bool:
     sizes = np.linalg.solve(basis @ basis.T + 1e-9 * np.eye(3), basis @ off)
     rest = off - sizes @ basis
     return bool(abs(sizes[2]) > max(_LEAST_SAGITTA_PX, 3.0 * math.sqrt(rest @ rest / len(rest))))
+
+
+def _are_smooth(arcs: list[FloatArray]) -> list[bool]:
+    """Whether most windows of each chain are bent to one side: a corner of two lines is bent in one of three."""
+    windows = _windows(arcs)
+    counts = [_count_of(len(arc)) for arc in arcs]
+    last = np.cumsum(counts)
+    smooth = []
+    for begin, end in zip((last - counts).tolist(), last.tolist(), strict=True):
+        bend = windows.bend[begin:end]
+        total = bend.sum(axis=0)
+        aside = bend @ total / max(float(np.hypot(*total)), 1e-9)
+        clear = aside > np.maximum(_SIGMAS * windows.sigma_px[begin:end], _LEAST_BEND_PX)
+        smooth.append(bool(2 * np.count_nonzero(clear) > len(clear)))
+    return smooth
 
 
 def is_seen(ellipse: Ellipse, on: FloatArray, near: FloatArray, view: View) -> bool:
