@@ -7,7 +7,7 @@ several solutions, and of one more that says that nothing seen is what it seems 
 same observation, so terms compare across solutions, across poses and with the last one.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -87,10 +87,18 @@ class Expansion:
             After(*(part[rows] for part in self.after)),
         )
 
-    def likelier(self, by: FloatArray | float) -> "Expansion":
-        """The same with constants that are so much higher (c,)."""
-        known = self.after._replace(evidence=self.evidence + by)
-        return replace(self, constant=self.constant + by, known=known)
+    def likelier(self, by: FloatArray | float, ids: IntArray) -> "Expansion":
+        """The same with constants that are so much higher (c,), under other ids."""
+        shrink, step, updated, evidence = self.after
+        return Expansion(
+            self.parent,
+            ids,
+            self.constant + by,
+            self.gradient,
+            self.information,
+            self.covariance,
+            After(shrink, step, updated, evidence + by),
+        )
 
     def of(self, mount: FloatArray, back: FloatArray, covariances: FloatArray) -> "Expansion":
         """By another tangent t, of covariances (h, 3, 3) of the parents' poses, where d = mount t and t = back d."""

@@ -42,9 +42,15 @@ class Coverage:
     radii_m: FloatArray
     places: FloatArray
 
-    def log_missed(self, poses: FloatArray, covariances: FloatArray | None, seen: FloatArray) -> FloatArray:
+    def log_missed(
+        self,
+        poses: FloatArray,
+        covariances: FloatArray | None,
+        seen: FloatArray,
+        wanted: NDArray[np.bool_] | None = None,
+    ) -> FloatArray:
         """(h, m) log probability that a landmark is not seen, from the sensor's poses (h, 3) up to covariances of their
-        tangents; 0 for what need not be seen.
+        tangents; 0 for what need not be seen. wanted: (h, m) of which it is asked, None for all; 0 for others.
 
         seen: (n, 2) range and bearing of what hides things, beside the landmarks themselves. An uncertain pose is held
         to what is covered even if it is one sigma off: the approximation, one that says too little.
@@ -60,6 +66,8 @@ class Coverage:
             off_m = np.sqrt(place)
             off_rad = np.sqrt(covariances[:, 2, 2, None] + place / np.maximum(d2, 1e-12))
         inside = _inside(d, self.ranges_m, off_m) * _inside(bearing, self.bearings_rad, off_rad)
+        if wanted is not None:
+            inside *= wanted
         row, landmark = inside.nonzero()
         if not len(row):
             return inside
@@ -92,9 +100,11 @@ class Misses:
     power: float
     seen: FloatArray
 
-    def log_missed(self, poses: FloatArray, covariances: FloatArray | None = None) -> FloatArray:
+    def log_missed(
+        self, poses: FloatArray, covariances: FloatArray | None = None, wanted: NDArray[np.bool_] | None = None
+    ) -> FloatArray:
         """(h, m) as Coverage.log_missed."""
-        return self.power * self.coverage.log_missed(poses, covariances, self.seen)
+        return self.power * self.coverage.log_missed(poses, covariances, self.seen, wanted)
 
     @property
     def log_anywhere(self) -> float:

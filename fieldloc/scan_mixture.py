@@ -11,7 +11,7 @@ others are not seen; what is all clutter or not right has that of a robot that m
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -81,7 +81,7 @@ class ScanMixture:
         if (repeated := 1.0 - self.model.news(matches)) > 0.0:
             # what it may be was chosen from when it was seen before: that there is much to choose from is no news again
             log_more = log_more - repeated * _choice(seen.parent, seen.evidence + log_more, len(poses))
-        out = replace(seen.likelier(log_more), ids=self._intern(matches))
+        out = seen.likelier(log_more, self._intern(matches))
         return out if mount is None else out.of(mount, self._from_sensor, covariances)
 
     @cached_property
@@ -111,12 +111,9 @@ class ScanMixture:
         (c, 3). Where they lead, not as it changes on the way there: the approximation."""
         if self.misses is None or not len(at):
             return 0.0
-        each = self.misses.log_missed(at, spread)
-        if not each.any():
-            return 0.0
-        rows, seen = np.nonzero(matches >= 0)
-        each[rows, matches[rows, seen]] = 0.0
-        return np.asarray(each.sum(axis=1))
+        wanted = np.ones((len(at), 1 + self.model.may.shape[1]), dtype=np.bool_)
+        wanted[np.arange(len(at))[:, None], matches] = False  # -1 is the last column
+        return np.asarray(self.misses.log_missed(at, spread, wanted[:, :-1]).sum(axis=1))
 
     def chosen(self, solution: int) -> tuple[Factor, ...]:
         """A pose where two or more landmarks determine it, agree, and leave a Gaussian; each by itself else."""
@@ -235,7 +232,7 @@ def scan_mixture(
     on_map = _on_map(field)
     seen, m = scan.range_bearing, len(field.landmarks)
     index = np.array(
-        [_ANY if label is None else on_map.index.get(label, _NONE) for label in scan.labels], dtype=np.intp
+        [_ANY if label is None else on_map.row_of.get(label, _NONE) for label in scan.labels], dtype=np.intp
     )
     rows = np.flatnonzero((index != _NONE) & np.isfinite(seen).all(axis=1) & (seen[:, 0] > 0.0))
     if not len(rows) or not m:
@@ -293,9 +290,9 @@ def scan_mixture(
 
 
 class _OnMap(NamedTuple):
-    """index: by label. diagonal_m: of the whole map. survey_m2: variance of a landmark's place, the largest."""
+    """row_of: a landmark by its label. diagonal_m: of the whole map. survey_m2: largest variance of a place."""
 
-    index: dict[str, int]
+    row_of: dict[str, int]
     diagonal_m: float
     survey_m2: float
 
@@ -305,5 +302,5 @@ def _on_map(field: FieldMap) -> _OnMap:
     """Of a map that is compared by identity."""
     x_min, y_min, x_max, y_max = field.bounds
     survey_m2 = float(np.trace(field.positions_covariance, axis1=-2, axis2=-1).max(initial=0.0))
-    index = {label: i for i, label in enumerate(field.labels)}
-    return _OnMap(index, math.hypot(x_max - x_min, y_max - y_min), survey_m2)
+    row_of = {label: i for i, label in enumerate(field.labels)}
+    return _OnMap(row_of, math.hypot(x_max - x_min, y_max - y_min), survey_m2)

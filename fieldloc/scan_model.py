@@ -91,10 +91,8 @@ class ScanModel:
         """Share of what was seen, on the average, that was not seen before, if it was one of the matches (c, n)."""
         if not self._repeats or not len(matches):
             return 1.0
-        row, seen = np.nonzero(matches >= 0)
-        wider = np.ones(matches.shape[1])
-        np.maximum.at(wider, seen, self.wider[matches[row, seen], 0])
-        return float((1.0 / wider).mean())
+        wider = np.where(matches >= 0, self.wider[matches, 0], 1.0).max(axis=0)
+        return float((1.0 / wider).sum()) / len(wider)
 
     def terms(self, poses: FloatArray, matches: IntArray, wider: FloatArray | None) -> Terms:
         """matches: (c, n) landmark of each observation, -1 for none, seen from the poses (c, 3)."""
