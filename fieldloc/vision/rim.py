@@ -20,8 +20,18 @@ _OUTLIER = 3.5  # robust standard deviations from the ellipse
 _LEAST_OUTLIER_PX = 0.7  # the middle between a circle's edges in perspective is not quite an ellipse
 _FLOOR_PX = 0.03  # of a point: what interpolation between pixels errs by
 _LEAST_SHARE = 0.5  # of the points where there are runs have to be on the ellipse: things stand before parts of it
+_NEIGHBOURS = (np.arange(_BINS)[:, None] + np.arange(-_FARTHER, _FARTHER + 1)) % _BINS
 _LEAST_ACROSS_PX = 1.5  # standard deviation of the points to either side of a straight line
 _AROUND = 9  # neighbours that tell a point's standard deviation
+
+
+def _part(turns: FloatArray) -> NDArray[np.intp]:
+    """Which of the equal parts of the ellipse's angle turns (n,) are nearest to the middle of."""
+    return np.asarray(np.rint(turns * _BINS).astype(np.intp) % _BINS)
+
+
+_TURNS = (np.arange(8 * _BINS) + 0.5) / (8 * _BINS)
+_COS, _SIN, _PARTS = np.cos(2.0 * np.pi * _TURNS)[:, None], np.sin(2.0 * np.pi * _TURNS)[:, None], _part(_TURNS)
 
 
 def trace(
@@ -54,11 +64,7 @@ def trace(
         if np.count_nonzero(good & there[part]) < max(_FEWEST // 2, _LEAST_SHARE * np.count_nonzero(there[part])):
             return None
     # Measured to a fraction of a pixel, two straight lines that run along an ellipse are straight.
-    table = np.column_stack([middles, np.zeros(len(middles))])[good]
-    gaps = np.flatnonzero(np.diff(np.flatnonzero(good)) > 2) + 1
-    aside = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(table[:, :2].T))[0], 0.0)))
-    pieces = [part for part in np.split(table, gaps) if len(part) > 2]
-    if not bent and (aside < _LEAST_ACROSS_PX or not is_round(ellipse, pieces)):
+    if not bent and not _is_round(ellipse, middles, good):
         return None
     sigma = np.sqrt(_local(off[good] ** 2) + _FLOOR_PX**2) * zoom[good]
     centre, axes = ellipse.axes()
@@ -68,23 +74,23 @@ def trace(
     return SeenCircle(pixels[good] + (found.middle_px[good])[:, None] * across[good], sigma, numbers)
 
 
+def _is_round(ellipse: Ellipse, middles: FloatArray, good: Mask) -> bool:
+    table = np.column_stack([middles, np.zeros(len(middles))])[good]
+    gaps = np.flatnonzero(np.diff(np.flatnonzero(good)) > 2) + 1
+    aside = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(table[:, :2].T))[0], 0.0)))
+    return aside >= _LEAST_ACROSS_PX and is_round(ellipse, [part for part in np.split(table, gaps) if len(part) > 2])
+
+
 def _evenly(centre: FloatArray, axes: FloatArray, spacing_px: float, seen: Mask) -> tuple[FloatArray, NDArray[np.intp]]:
     """Turns of the ellipse's own angle at which points are about evenly spaced on it, in its parts that are seen; and
     which parts these are.
     """
-    fine = np.linspace(0.0, 1.0, 8 * _BINS + 1)
-    rim, _ = on_rim(centre, axes, fine)
-    step = np.hypot(*np.diff(rim, axis=0).T)
-    step = np.where(seen[_part(0.5 * (fine[1:] + fine[:-1]))], step, 0.0)  # what is not seen has no length
-    path = np.concatenate([[0.0], np.cumsum(step)])
-    count = int(np.clip(path[-1] / spacing_px, _FEWEST, _MOST))
-    turns = np.interp((np.arange(count) + 0.5) * path[-1] / count, path, fine)
+    speed = np.hypot(*(_COS * axes[1] - _SIN * axes[0]).T)
+    path = np.concatenate([[0.0], np.cumsum(np.where(seen[_PARTS], speed, 0.0))])  # what is not seen has no length
+    count = int(np.clip(path[-1] * 2.0 * np.pi / (len(speed) * spacing_px), _FEWEST, _MOST))
+    turns = np.interp((np.arange(count) + 0.5) * path[-1] / count, path, np.linspace(0.0, 1.0, len(path)))
     part = _part(turns)
     return turns[seen[part]], part[seen[part]]
-
-
-def _part(turns: FloatArray) -> NDArray[np.intp]:
-    return np.asarray(np.rint(turns * _BINS).astype(np.intp) % _BINS)
 
 
 def _widths(centre: FloatArray, axes: FloatArray, on: FloatArray) -> tuple[Mask, FloatArray]:
@@ -92,12 +98,9 @@ def _widths(centre: FloatArray, axes: FloatArray, on: FloatArray) -> tuple[Mask,
     runs that of their neighbours, as the line goes on there where it crosses another; NaN elsewhere.
     """
     part = bins_of(centre, axes, on[:, :2])
-    count = np.bincount(part, minlength=_BINS).astype(np.float64)
-    total = np.bincount(part, weights=on[:, 2], minlength=_BINS)
-    there = count > 0
-    for _ in range(_FARTHER):
-        beside = [np.roll(values, 1) + np.roll(values, -1) for values in (total, count)]
-        total, count = (np.where(count > 0, old, new) for old, new in zip((total, count), beside, strict=True))
+    both = np.stack([np.bincount(part, weights=on[:, 2], minlength=_BINS), np.bincount(part, minlength=_BINS)])
+    there = both[1] > 0
+    total, count = np.where(there, both, both[:, _NEIGHBOURS].sum(axis=2))
     return there, np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
 
 

@@ -188,7 +188,8 @@ def _colours(picture: UInt8Array, points: FloatArray, down: bool) -> FloatArray:
     pixels = np.rint(points).astype(np.intp) + np.array([[[1, 0]] if down else [[0, 1]]]) * _ASIDE
     column = np.minimum(np.maximum(pixels[..., 0], 0), picture.shape[1] - 1)
     row = np.minimum(np.maximum(pixels[..., 1], 0), picture.shape[0] - 1)
-    return np.asarray(picture[row, column].sum(axis=0, dtype=np.int32) / 3.0)
+    nearest = picture.reshape(-1, 3).take(row * picture.shape[1] + column, axis=0)
+    return np.asarray(nearest.sum(axis=0, dtype=np.int32) / 3.0)
 
 
 def _beyond(
