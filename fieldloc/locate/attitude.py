@@ -100,8 +100,12 @@ def attitudes(sight: Sight, prior: CameraPrior, most: int = 4) -> Attitudes:
     scores = scores + _likely(angles[:, 1:], target, pull, prior, circles)
     angles[:, 0] = (angles[:, 0] + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
     order = np.argsort(-scores, kind="stable")
+    order = order[scores[order] > scores[order[0]] - _MARGIN]
+    # a line that is none may outweigh a circle: what the circle shows is kept beside what most lines show
+    shown = [np.abs(angles[order, 1:] - tilt).max(axis=1) < _CIRCLE_RAD for tilt in circles]
+    order = np.concatenate([order[:1], *(order[near][:1] for near in shown), order[1:]])
     kept: list[int] = []
-    for row in order[scores[order] > scores[order[0]] - _MARGIN]:
+    for row in order:
         off = np.abs(angles[row] - angles[kept])
         off[:, 0] = np.minimum(off[:, 0], 0.5 * np.pi - off[:, 0])
         if not (off < _SAME_RAD).all(axis=1).any():

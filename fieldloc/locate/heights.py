@@ -8,7 +8,7 @@ from fieldloc.locate.sight import Sight
 from fieldloc.locate.states import cross, rotations
 from fieldloc.pose import FloatArray
 
-_SCALES = (1.0, 0.8, 1.25)  # of a height that only widths tell
+_SCALES = (1.0, 0.8, 1.25, 1.55, 0.65)  # of a height that only widths tell, which glare and blur change
 _OFF = 1.7  # standard deviations: a height between these is within one of the next
 _COARSE = 0.025  # of a height: a prior that leaves less open is one height
 _LIKELY = (0.3, 0.5, 0.8, 1.3)  # where nothing tells

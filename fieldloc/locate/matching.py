@@ -25,7 +25,7 @@ _ARC_PX = 3.0  # by how much a straight piece of a circle's line is off it
 _LOG_WIDTH = -float(np.log(30.0))  # any width up to this
 _LOG_POST = -float(np.log(640.0 * 60.0 * 20.0 * 20.0))  # place, width, and the lean of either edge
 _LOG_FOOT = -float(np.log(480.0 * 10.0))
-_CIRCLE_NUMBERS = 5.0  # of an ellipse: so many points of it say something of their own
+CIRCLE_NUMBERS = 5.0  # of an ellipse: so many points of it say something of their own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,7 +234,7 @@ def _match_circle(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]
         return best, gains
     log_odds = np.log((1.0 - settings.false_circle) / settings.false_circle)
     log_clutter = -np.log(sight.camera.height_px)
-    numbers = min(_CIRCLE_NUMBERS, float(points))
+    numbers = min(CIRCLE_NUMBERS, float(points))
     for row, circle in enumerate(noise.shape.circles):
         error, px_per_m = circle_errors(cameras, circle)
         variance = noise.of_circle(px_per_m)

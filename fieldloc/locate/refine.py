@@ -13,7 +13,7 @@ from fieldloc.locate.errors import (
     post_errors,
     post_jacobians,
 )
-from fieldloc.locate.matching import Matches, Noise
+from fieldloc.locate.matching import CIRCLE_NUMBERS, Matches, Noise
 from fieldloc.locate.prior import CameraPrior
 from fieldloc.locate.windows import Windows
 from fieldloc.pose import FloatArray, wrap
@@ -101,8 +101,9 @@ def linearise(
             continue
         error, px_per_m = circle_errors(cameras, circle)
         jacobian = circle_jacobians(cameras, circle)
-        sigma = np.sqrt(noise.of_circle(px_per_m))
         points = error.shape[1]
+        # neighbours on an ellipse are off it together
+        sigma = np.sqrt(noise.of_circle(px_per_m) * max(points / CIRCLE_NUMBERS, 1.0))
         each = np.repeat(used[:, None], points, axis=1)
         add((error / sigma)[..., None], (jacobian / sigma[..., None])[..., None, :], each, np.ones(points))
 
