@@ -29,7 +29,12 @@ _LEAST_SEEN = 0.25  # share of the visible bins that are explained
 _LEAST_BINS = 7
 _WINDOW = 8  # points at least of a part of a chain whose bend is compared with the ellipse's
 _SIGMAS, _LEAST_BEND_PX = 3.0, 0.3  # a bend is more than so many times its noise, and than this
-_BENT, _BENT_MEASURED = 0.5, 0.75  # share of the points that are bent as the ellipse is, of those where it is bent
+_BENT, _BENT_MEASURED, _BENT_SHORT = (
+    0.5,
+    0.75,
+    0.6,
+)  # share of the points that are bent as the ellipse is, of those where it is bent
+_MANY, _FLOOR_PX = 99, 0.05  # windows of what was measured, and the least bend that it tells
 _THINNEST = 2.0  # the shorter semi-axis to how near is on the ellipse: a thinner one might be a straight line
 _LARGEST_PX = 1e4  # semi-axis
 _CONSTRAINED = np.array([[0.0, 0.0, 0.5], [0.0, -1.0, 0.0], [0.5, 0.0, 0.0]])  # inverse of 4 a c - b^2 as a matrix
@@ -171,19 +176,23 @@ def points_on(ellipse: Ellipse, chains: list[FloatArray]) -> list[Mask]:
 
 def is_round(ellipse: Ellipse, chains: list[FloatArray]) -> bool:
     """Whether chains (m, 3) that were measured on the ellipse's line are bent as it is."""
-    return bool(chains) and _explained(ellipse, _windows(chains), _BENT_MEASURED) > 0
+    if not chains:
+        return False
+    # Between the corners at its ends, a straight line is straight in many short windows.
+    long, short = _windows(chains), _windows(chains, _MANY)
+    return _explained(ellipse, long, _BENT_MEASURED) > 0 and _explained(ellipse, short, _BENT_SHORT, _FLOOR_PX) > 0
 
 
-def _count_of(points: int) -> int:
+def _count_of(points: int, most: int = 3) -> int:
     """Windows of a chain; a corner of two lines is in one of three at most."""
-    return min(max(1, points // _WINDOW), 3)
+    return min(max(1, points // _WINDOW), most)
 
 
-def _windows(chains: list[FloatArray]) -> _Windows:
+def _windows(chains: list[FloatArray], most: int = 3) -> _Windows:
     table = np.concatenate(chains)
     sizes = []
     for chain in chains:
-        count = _count_of(len(chain))
+        count = _count_of(len(chain), most)
         sizes += [(len(chain) + part) // count for part in range(count)]
     size = np.array(sizes)
     begins = np.cumsum(size) - size
@@ -202,7 +211,7 @@ def _windows(chains: list[FloatArray]) -> _Windows:
     return _Windows(points, _NEAR_PX + _NEAR_SHARE * table[:, 2], begins, size, bow, bend, sigma)
 
 
-def _explained(ellipse: Ellipse, windows: _Windows, least: float = _BENT) -> int:
+def _explained(ellipse: Ellipse, windows: _Windows, least: float = _BENT, least_px: float = _LEAST_BEND_PX) -> int:
     """How many points are in windows on the ellipse; none where these are bent too little for it, as straight lines are
     that it runs along.
     """
@@ -213,7 +222,7 @@ def _explained(ellipse: Ellipse, windows: _Windows, least: float = _BENT) -> int
     bend = (windows.bend * ellipse.normals(windows.points[middle])).sum(axis=1)
     wanted = bend - np.add.reduceat(windows.bow * off, windows.begins)
     # Every window has a say where the ellipse wants a bend that cannot be noise: a corner is bent much, in one place.
-    asked = on & (np.abs(wanted) > np.maximum(_SIGMAS * windows.sigma_px, _LEAST_BEND_PX))
+    asked = on & (np.abs(wanted) > np.maximum(_SIGMAS * windows.sigma_px, least_px))
     found = np.clip(bend[asked] / wanted[asked], 0.0, 1.0) @ windows.sizes[asked]
     if not asked.any() or found < least * windows.sizes[asked].sum():
         return 0
