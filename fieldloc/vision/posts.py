@@ -20,7 +20,7 @@ from fieldloc.vision.straight import Plane
 from fieldloc.vision.turf import Turf
 
 _LEAST_WHOLE, _LEAST_CUT = 0.65, 0.7  # scores of posts with both ends in the picture, and of others
-_LEAST_UNSURE = 0.5  # where nothing scores more, or another post's crossbar leads there
+_LEAST_ALONE, _LEAST_MATE = 0.5, 0.4  # where nothing scores more; where another post's crossbar leads there
 _MOST, _FEW = 4, 3  # posts in a picture, the likeliest
 _DEFAULTS = FieldColours()
 
@@ -51,11 +51,10 @@ def find_uprights(picture: UInt8Array, turf: Turf, colours: FieldColours) -> lis
         strips = pairs_of(begins, ends, band, turf, picture.shape[1])
         found += uprights_of(strips, picture, turf, colour)
     sure = [one for one in found if one.score > (_LEAST_CUT if one.cut else _LEAST_WHOLE)]
-    unsure = [one for one in found if one.score > _LEAST_UNSURE and one not in sure]
     if not sure:
-        return apart(alike(unsure))[:_FEW]
+        return apart(alike([one for one in found if one.score > _LEAST_ALONE]))[:_FEW]
     sure = apart(alike(sure))
-    mates = [one for one in unsure if any(is_mate(one, other) for other in sure)]
+    mates = [one for one in found if one.score > _LEAST_MATE and any(is_mate(one, other) for other in sure)]
     return apart(sure + [one for one in alike(sure + mates) if one not in sure])[:_MOST]
 
 

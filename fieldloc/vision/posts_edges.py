@@ -18,7 +18,7 @@ from fieldloc.vision.turf import Turf
 
 _LONG_SIDE_PX = 1000  # what is larger is halved, or more
 _ABOVE, _BELOW = 0.16, 0.10  # of the picture's height: the band's reach from the border's highest and lowest point
-_QUIET = 0.65  # of the band's pixels change less from side to side than an edge does
+_QUIET = 0.75  # of the band's pixels change less from side to side than an edge does
 _LEAST_CHANGE = 8.0  # of Sobel's operator: two grey levels a pixel
 _LEAST_ROWS = 4  # of the band
 _MOST = 200  # edges of a kind, the clearest

@@ -27,6 +27,7 @@ _MARGIN_PX = 3.5, 12.0
 _INSIDE_PX = 1.5  # what must be seen beside an edge; beyond the picture its border goes on
 _END = 0.04  # of the length at either end, where crossbar and foot begin
 _SHAPE = 0.5  # of what it matters that a round post is not of one light all over, as an error
+_STEPS = 4  # of reweighting
 _TUNING = 2.5  # of Cauchy's weights, in standard deviations
 LIGHT = (255.0 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
 """(256,) light by a picture's numbers, both from 0 to 255, as most cameras have it."""
@@ -103,22 +104,21 @@ def _sample(picture: UInt8Array, post: RoughPost) -> _Sampled | None:
     half = 0.5 * scale * width
     if (middle - half).min() < _INSIDE_PX or (middle + half).max() > columns - 1 - _INSIDE_PX:
         return None
-    numbers = _between_pixels(picture, u, v).reshape(_BLOCKS, -1, _SAMPLES, 2, 3).mean(axis=1)
-    values = [numbers[:, :, n] @ _direction(numbers[:, :, n], at, width) for n in (0, 1, 0)]
+    both = [one.reshape(_BLOCKS, -1, _SAMPLES, 3).mean(axis=1) for one in _between_pixels(picture, u, v)]
+    values = [one @ _direction(one, at, width) for one in both]
     place, scale, middle = (one.reshape(_BLOCKS, -1).mean(axis=1) for one in (v, scale, middle))
-    return _Sampled(np.stack(values), at, width, scale, middle, place)
+    return _Sampled(np.stack([*values, values[0]]), at, width, scale, middle, place)
 
 
-def _between_pixels(picture: UInt8Array, u: FloatArray, v: FloatArray) -> FloatArray:
-    """(rows, samples, 2, 3): the picture's numbers and the light they stand for, at points between pixels."""
+def _between_pixels(picture: UInt8Array, u: FloatArray, v: FloatArray) -> list[FloatArray]:
+    """(rows, samples, 3) of the picture's numbers and of the light they stand for, at points between pixels."""
     top, left = max(0, int(v.min()) - 1), max(0, int(u.min()) - 1)
     part = np.ascontiguousarray(picture[top : int(v.max()) + 3, left : max(0, int(u.max())) + 3])
     columns = (u - left).astype(np.float32)
     rows = np.broadcast_to((v - top).astype(np.float32)[:, None], u.shape)
     both = part.astype(np.float32), cv2.LUT(part, LIGHT)
-    return np.stack(
-        [cv2.remap(one, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for one in both], axis=2
-    ).astype(np.float64)
+    at = [cv2.remap(one, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for one in both]
+    return [np.asarray(one, dtype=np.float64) for one in at]
 
 
 def _direction(numbers: FloatArray, at: FloatArray, width: float) -> FloatArray:
@@ -167,14 +167,14 @@ def _robust(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArra
     robust = np.ones_like(weight)
     count = np.count_nonzero(weight, axis=-1)
     middle = np.maximum(count - 1, 0)[..., None] // 2
-    for step in range(6):
+    for step in range(_STEPS):
         both = weight * robust
         mass, first, second = (np.sum(both * power, axis=-1) for power in (np.ones_like(y), y, y * y))
         side, cross = np.sum(both * x, axis=-1), np.sum(both * x * y, axis=-1)
         determinant = np.maximum(mass * second - first**2, 1e-12)
         intercept, slope = (second * side - first * cross) / determinant, (mass * cross - first * side) / determinant
         residual = x - intercept[..., None] - slope[..., None] * y
-        if step == 5:
+        if step == _STEPS - 1:
             break
         scaled = np.where(weight > 0.0, np.abs(residual) * np.sqrt(weight), np.inf)
         scale = np.maximum(1.4826 * np.take_along_axis(np.sort(scaled, axis=-1), middle, axis=-1), 1e-3)

@@ -37,7 +37,7 @@ def _unevenness(strips: Strips, view: View, top_v: FloatArray, foot_v: FloatArra
     """(n,) scatter of the light along the inside, as a share of it."""
     v = top_v[:, None] + (foot_v - top_v)[:, None] * np.linspace(0.03, 0.97, _ROWS)
     left, right = strips.left_at(v), strips.right_at(v)
-    inside = np.mean([view.likeness_at(left + share * (right - left), v) for share in (0.25, 0.5, 0.75)], axis=0)
+    inside = view.likeness_at(np.stack([left + share * (right - left) for share in (0.25, 0.5, 0.75)]), v).mean(axis=0)
     return np.asarray(inside.std(axis=1) / np.maximum(inside.mean(axis=1), 1.0))
 
 

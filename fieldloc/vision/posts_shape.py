@@ -29,6 +29,7 @@ _GREY = 0.56  # the least part of a white post's colour by its largest
 _SURE_BAR = 0.65  # of the places: with that much of a bar, another thing may hide the foot
 _ON_TURF = 0.6  # of the points beneath and beside the foot
 _WIDEST_GOAL = 3.0  # by its height
+_NEARLY = 0.2  # of a score
 _UNLIKE = 2.0  # times slimmer or stouter than the clearest post of the picture
 _BESIDE_TOP = 0.5  # of the points beside the upper part may be turf
 
@@ -139,11 +140,17 @@ def alike(uprights: list[Upright]) -> list[Upright]:
 
 
 def apart(uprights: list[Upright]) -> list[Upright]:
-    """Of those that overlap, or all but touch, the best."""
+    """Of those that overlap, or all but touch, the best; of those that are nearly as good the one with the clearer
+    edges: a cord of the net beside a post makes it wider."""
     kept: list[Upright] = []
     for one in uprights:
-        if not any(_touch(one, other) for other in kept):
+        rivals = [n for n, other in enumerate(kept) if _touch(one, other)]
+        if not rivals:
             kept.append(one)
+        elif (
+            len(rivals) == 1 and one.score > kept[rivals[0]].score - _NEARLY and one.contrast > kept[rivals[0]].contrast
+        ):
+            kept[rivals[0]] = one
     return kept
 
 
@@ -172,7 +179,7 @@ def _own_colours(strips: Strips, view: View) -> FloatArray:
     v = strips.rows[:, :1] + (strips.rows[:, 1:] - strips.rows[:, :1]) * np.linspace(0.05, 0.95, 9)
     left, right = strips.left_at(v), strips.right_at(v)
     inside = np.stack([left + f * (right - left) for f in (0.3, 0.5, 0.7)])
-    return np.asarray(np.median(view.colours_at(inside, np.broadcast_to(v, inside.shape)).mean(axis=0), axis=1))
+    return np.asarray(np.sort(view.colours_at(inside, v).mean(axis=0), axis=1)[:, v.shape[1] // 2])
 
 
 def _standing(strips: Strips, foot_v: FloatArray, length: FloatArray, turf: Turf, height: int) -> FloatArray:
