@@ -11,8 +11,9 @@ from scipy.optimize import linear_sum_assignment
 
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
-from fieldloc.scan_model import ScanModel
-from fieldloc.scan_pairs import Pairs, pairs_of
+from fieldloc.scan_model import Errors, ScanModel
+from fieldloc.scan_moments import Upper, determinant
+from fieldloc.scan_pairs import Pairs
 
 _AT_ONCE = 48  # assignments followed of one hypothesis
 _FORGOTTEN_ON_THE_WAY = 12.0  # log weight below the best one's
@@ -126,25 +127,32 @@ def _best(parent: IntArray, score: FloatArray, h: int) -> IntArray:
 
 def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
     """(n,) landmark of each observation, -1 for none, in the best assignment from one pose (3,)."""
-    pairs = pairs_of(model, pose[None], None)
-    xx, xy, yy = pairs.xx, pairs.xy, pairs.yy
-    if model.shared is not None:
-        by_range, by_bearing = model.shared_widened[pairs.row].T
-        r, along = model.range_bearing[pairs.row].T
-        c, s, across2 = np.cos(along), np.sin(along), (r * by_bearing) ** 2
-        xx = xx + by_range**2 * c * c + across2 * s * s
-        xy = xy + (by_range**2 - across2) * c * s
-        yy = yy + by_range**2 * s * s + across2 * c * c
-    det = xx * yy - xy**2
-    misfit = (yy * pairs.ex**2 - 2.0 * xy * pairs.ex * pairs.ey + xx * pairs.ey**2) / det
-    worth = pairs.log_peak - 0.5 * (np.log(det) + misfit)
+    which = np.arange(len(model.positions)) if model.named is None else model.named
+    errors = model.errors(pose[None], which)
+    plain, _ = model.noise_at(errors, None, model.covariance)
+    shared = np.zeros((2, len(model.range_bearing))) if model.shared is None else model.shared.T
+    misfit, _ = _misfit(errors, plain, shared)
+    row, column = np.nonzero((misfit[:, 0] < model.gates[:, None]) & model.may[:, which])
+    wider = model.widening(row, which[column])
+    _, widened = model.noise_at(errors, wider, model.covariance)
+    misfit, det = _misfit(errors, widened, model.shared_widened.T)
+    worth = model.log_peak[:, None, None] - 0.5 * (misfit + np.log(det / determinant(widened) * determinant(plain)))
     out = np.full(len(model.range_bearing), -1)
     if model.named is not None:
-        good = worth > 0.0
-        out[pairs.row[good]] = pairs.landmark[good]
+        good = row[worth[row, 0, column] > 0.0]
+        out[good] = model.named[good]
         return out
     gain = np.zeros(model.may.shape)
-    gain[pairs.row, pairs.landmark] = np.maximum(worth, 0.0)
+    gain[row, column] = np.maximum(worth[row, 0, column], 0.0)
     row, landmark = linear_sum_assignment(gain, maximize=True)
     out[row] = np.where(gain[row, landmark] > 0.0, landmark, -1)
     return out
+
+
+def _misfit(errors: Errors, own: Upper, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Chi-square of errors (n, h, k) by their own covariance and standard deviations (2, n) of what is shared, and the
+    determinant of that."""
+    rr, rb, bb = own[0] + (shared[0] ** 2)[:, None, None], own[1], own[2] + (shared[1] ** 2)[:, None, None]
+    det = rr * bb - rb * rb
+    r, b = errors.range_m, errors.bearing_rad
+    return (bb * r * r - 2.0 * rb * r * b + rr * b * b) / det, det

@@ -35,18 +35,14 @@ class Pairs(NamedTuple):
     wider: FloatArray | None
 
 
-def pairs_of(model: ScanModel, poses: FloatArray, covariances: FloatArray | None) -> Pairs:
-    """What may be what for robots at poses (h, 3) up to covariances (h, 3, 3), by errors that are not widened; None for
-    robots that are surely there."""
+def pairs_of(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> Pairs:
+    """What may be what for robots at poses (h, 3) up to covariances (h, 3, 3), by errors that are not widened."""
     x, y = _landmarks_from(model, poses)
-    if covariances is None:
-        xx = xy = yy = np.zeros_like(x)
-    else:
-        pxx, pxy, pxh, pyy, pyh, phh = upper_of(covariances[:, None])
-        xh, yh = y * phh - pxh, x * phh + pyh
-        xx = pxx + y * (xh - pxh)
-        xy = pxy + x * pxh - y * yh
-        yy = pyy + x * (yh + pyh)
+    pxx, pxy, pxh, pyy, pyh, phh = upper_of(covariances[:, None])
+    xh, yh = y * phh - pxh, x * phh + pyh
+    xx = pxx + y * (xh - pxh)
+    xy = pxy + x * pxh - y * yh
+    yy = pyy + x * (yh + pyh)
     if model.survey is not None:
         sxx, sxy, syy = turned(model.survey, poses[:, 2:])
         xx, xy, yy = xx + sxx, xy + sxy, yy + syy

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from fieldloc.covariance import central_difference, propagate
-from fieldloc.fixes.landmarks import landmark_fix
+from fieldloc.fixes.landmarks import landmark_fix, landmark_misfit
 from fieldloc.fixes.swing import robot_pose, second_moment
 from fieldloc.pose import FloatArray, apply, compose, inverse, rotation, wrap
 
@@ -336,3 +336,15 @@ def test_real_fixes_of_mrclam_6_agree_with_the_motion_capture() -> None:
     # the ranges of one image are wrong together: they fit each other better than they fit the truth
     assert 0.4 < np.sum(fits) / np.sum(freedoms) < 0.8
     assert 0.8 < np.median(nees) / chi2.median(3) < 1.3
+
+
+def test_the_misfit_at_a_fix_is_its_own() -> None:
+    positions = np.array([[2.0, 1.0], [2.0, -1.5], [-1.5, 2.0]])
+    pose, survey = np.array([0.3, -0.2, 0.4]), np.tile(np.diag([0.02, 0.01]) ** 2, (3, 1, 1))
+    z = seen(pose, positions, MOUNT) + [[0.02, 0.01], [-0.01, 0.005], [0.015, -0.01]]
+    together = 0.05 * z[:, 0]
+    (fix,) = landmark_fix(positions, z, isotropic(3), survey, MOUNT, together)
+    at = landmark_misfit(fix.pose, positions, z, isotropic(3), survey, MOUNT, together)
+    assert np.isclose(at, fix.chi2, rtol=1e-9)
+    aside = compose(fix.pose, np.array([0.05, 0.0, 0.0]))
+    assert landmark_misfit(aside, positions, z, isotropic(3), survey, MOUNT, together) > fix.chi2 + 0.1

@@ -158,6 +158,25 @@ def equations(state: State, sights: Sequence[Sight]) -> Equations:
     )
 
 
+def misfit(state: State, sights: Sequence[Sight]) -> float:
+    """chi2 alone, as in `equations`."""
+    chi2 = by_shared = pull = 0.0
+    cosine, sine = math.cos(state[2]), math.sin(state[2])
+    for x, y, xx, xy, yy, range_m, bearing_rad, rr, rb, bb, longer in sights:
+        qx, qy = state[0] + cosine * x + sine * y, state[1] + cosine * y - sine * x
+        d = math.hypot(qx, qy) or _ON_IT_M
+        error_range, error_bearing = range_m - d, math.remainder(bearing_rad - math.atan2(qy, qx), math.tau)
+        if xx != 0.0 or yy != 0.0:
+            ux, uy = qx / d, qy / d
+            rr, rb, bb = _with_survey(cosine, sine, ux, uy, -uy / d, ux / d, xx, xy, yy, rr, rb, bb)
+        det = rr * bb - rb * rb
+        weighted_range = (bb * error_range - rb * error_bearing) / det
+        chi2 += error_range * weighted_range + error_bearing * (rr * error_bearing - rb * error_range) / det
+        by_shared += longer * longer * bb / det
+        pull += longer * weighted_range
+    return chi2 - pull * pull / (1.0 + by_shared)
+
+
 def _with_survey(
     cosine: float, sine: float, ux: float, uy: float, vx: float, vy: float,
     xx: float, xy: float, yy: float, rr: float, rb: float, bb: float,

@@ -12,9 +12,9 @@ from fieldloc.fixes.alignment import (
     State,
     Symmetric,
     chi2_each,
-    equations,
     inverse,
     minimise,
+    misfit,
     rigid_alignment,
 )
 from fieldloc.fixes.base import Fix
@@ -98,7 +98,7 @@ def landmark_misfit(
     middle, sights = _sights(positions, range_bearing, covariance, positions_covariance, shared_range_m)
     x, y, heading = pose.tolist()
     mount = _NO_MOUNT if robot_from_sensor is None else robot_from_sensor.tolist()
-    return equations(state_of((x, y, heading), middle, mount), sights).chi2 if sights else math.inf
+    return misfit(state_of((x, y, heading), middle, mount), sights) if sights else math.inf
 
 
 def _fix(
@@ -110,7 +110,7 @@ def _fix(
         return None
     pose, covariance = robot_pose(state, p, middle, mount)
     aside = [state_of(along_heading(pose, covariance, k), middle, mount) for k in (-_PROBE_SIGMAS, _PROBE_SIGMAS)]
-    nonlinearity = max(abs((equations(side, sights).chi2 - at.chi2) / _PROBE_SIGMAS**2 - 1.0) for side in aside)
+    nonlinearity = max(abs((misfit(side, sights) - at.chi2) / _PROBE_SIGMAS**2 - 1.0) for side in aside)
     if nonlinearity >= _FIRST_ORDER:
         covariance = second_moment(state, p, pose, middle)
     return LandmarkFix(
@@ -127,7 +127,7 @@ def _fix(
 def _other_minima(state: State, at: Equations, sights: Sequence[Sight]) -> list[tuple[State, Equations]]:
     """Minima of chi2 at other headings, found from the dips on a ring of headings."""
     ring = [(state[0], state[1], state[2] + i * math.tau / _HEADINGS) for i in range(_HEADINGS)]
-    chi2 = [at.chi2] + [equations(turned, sights).chi2 for turned in ring[1:]]
+    chi2 = [at.chi2] + [misfit(turned, sights) for turned in ring[1:]]
     others: list[tuple[State, Equations]] = []
     for i in range(1, _HEADINGS):
         if chi2[i] < chi2[i - 1] and chi2[i] <= chi2[(i + 1) % _HEADINGS]:
