@@ -19,7 +19,7 @@ from fieldloc.locate.sight import Sight
 from fieldloc.locate.states import cross, rotations
 from fieldloc.pose import FloatArray, rotation, wrap
 
-_MOST, _LEAST, _ALL_LINES = 480, 80, 1200  # candidates: the fewer lines there are, the less do votes tell
+_MOST, _LEAST, _ALL_LINES = 480, 64, 4800  # candidates: the fewer lines there are, the less do votes tell
 _MOST_COORDINATES = 7
 _MOST_POSTS = 4  # the largest
 _STEP_M = 0.05  # of the coordinates that are voted for
@@ -74,7 +74,7 @@ def candidates(sight: Sight, shape: Shape, prior: CameraPrior, angles: FloatArra
     key -= key.min(axis=0, initial=0)
     flat = np.ravel_multi_index(tuple(key.T), tuple(key.max(axis=0, initial=0) + 1)) if len(key) else key[:, 0]
     _, first = np.unique(flat, return_index=True)
-    most = int(np.clip(_ALL_LINES // max(len(sight.line_rows), 1), _LEAST, _MOST))
+    most = int(np.clip(_ALL_LINES // max(len(sight.line_rows), 1) ** 2, _LEAST, _MOST))
     states = states[order[np.sort(first)[:most]]]
     if len(sight.post_rows) > 1 and len(angles):
         states = np.concatenate([states, _of_two_posts(sight, shape, prior, *angles[0, 1:])])

@@ -60,7 +60,7 @@ def linearise(
         nonlocal numbers
         share = used
         if robust:
-            chi2 = np.einsum("knm,knm->kn", error, error)
+            chi2 = (error * error).sum(axis=-1)
             share = used / np.sqrt(1.0 + np.maximum(chi2 / np.maximum(size, 1.0) - _ROBUST, 0.0) / _ROBUST)
         errors.append((error * share[..., None]).reshape(count, -1))
         white.append((jacobian * share[..., None, None]).reshape(count, -1, 7))

@@ -32,15 +32,23 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
     """states: (k, 6). covariances: (k, 6, 6) of these. log_evidence: (k,) log density of all detected, less that if
-    none of it were the map's, integrated over all states. Of those worth telling only."""
+    none of it were the map's, integrated over all states; in which is log_missed:
+    (k,) for what should be seen and is not. Of those worth telling only."""
 
     states: FloatArray
     covariances: FloatArray
     matches: Matches
     log_evidence: FloatArray
+    log_missed: FloatArray
 
     def take(self, rows: IntArray) -> "Settled":
-        return Settled(self.states[rows], self.covariances[rows], self.matches.take(rows), self.log_evidence[rows])
+        return Settled(
+            self.states[rows],
+            self.covariances[rows],
+            self.matches.take(rows),
+            self.log_evidence[rows],
+            self.log_missed[rows],
+        )
 
     def and_also(self, other: "Settled") -> "Settled":
         return Settled(
@@ -48,6 +56,7 @@ class Settled:
             np.concatenate([self.covariances, other.covariances]),
             self.matches.and_also(other.matches),
             np.concatenate([self.log_evidence, other.log_evidence]),
+            np.concatenate([self.log_missed, other.log_missed]),
         )
 
 
@@ -57,11 +66,11 @@ def settle(task: Task, states: FloatArray, matches: Matches) -> Settled:
     order = order[whole.log_evidence[order] > whole.log_evidence.max(initial=-np.inf) - _WORTH_CUTTING]
     pieces, windows, parents = cut(whole.states, whole.covariances, order)
     if len(pieces):
-        matches = whole.matches.take(parents)
+        matches, missed = whole.matches.take(parents), whole.log_missed[parents]
         for _ in range(_STEPS):
             pieces = stepped(pieces, linearise(task.cameras(pieces), task.noise(), matches, task.prior, windows))
         whole = whole.take(np.setdiff1d(np.arange(len(whole.states)), parents)).and_also(
-            _settled(task, pieces, matches, windows)
+            _settled(task, pieces, matches, windows, missed)
         )
     known = (whole.covariances[:, [0, 1, 2], [0, 1, 2]] < _UNKNOWN**2).all(axis=1)
     log_evidence = np.where(known, whole.log_evidence, -np.inf)
@@ -69,7 +78,10 @@ def settle(task: Task, states: FloatArray, matches: Matches) -> Settled:
     return whole.take(good)
 
 
-def _settled(task: Task, states: FloatArray, matches: Matches, windows: Windows) -> Settled:
+def _settled(
+    task: Task, states: FloatArray, matches: Matches, windows: Windows, missed: FloatArray | None = None
+) -> Settled:
+    """missed: (k,) if it is known."""
     shape, prior, settings = task.shape, task.prior, task.settings
     count, amounts = len(states), len(_AMOUNTS)
     noise = Noise(task.sight, shape, settings, 0.0, np.tile(_AMOUNTS, count))
@@ -105,5 +117,8 @@ def _settled(task: Task, states: FloatArray, matches: Matches, windows: Windows)
     good = np.flatnonzero(good & (log_evidence > log_evidence.max(initial=-np.inf) - _MARGIN))
     rows = rows[good]
     states, matches = fitted[rows], matches.take(rows)
-    missed = log_missed(task.cameras(states), task.sight, shape, matches, settings)
-    return Settled(states, covariance[good], matches, log_evidence[good] + missed)
+    if missed is None:
+        missed = log_missed(task.cameras(states), task.sight, shape, matches, settings)
+    else:
+        missed = missed[good]
+    return Settled(states, covariance[good], matches, log_evidence[good] + missed, missed)

@@ -60,6 +60,8 @@ class Task:
         the same place or its twin. kinds: (k,) those that differ in it are not the same."""
         order = np.argsort(-scores, kind="stable")[: _LOOKED_AT * most]
         order = order[scores[order] > scores[order[:1]] - margin]
+        if len(order) < 2:
+            return order
         poses = states[order, :3]
         same = np.zeros((len(order), len(order)), dtype=np.bool_)
         for turn in (np.zeros(3), *self.shape.symmetries):
