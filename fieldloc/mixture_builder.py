@@ -24,6 +24,7 @@ from fieldloc.scan_coverage import Misses, Sightings
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
 from fieldloc.scan_noise import UNLEARNED, NoisePrior
 from fieldloc.scan_noises import LearnedNoise, ScanNoises
+from fieldloc.scan_wrong import WrongShare
 from fieldloc.tempering import tempered
 from fieldloc.told_mixture import told_mixture
 
@@ -57,6 +58,7 @@ class MixtureBuilder:
         self._noises = ScanNoises(noise, correlation)
         self._sightings: dict[bytes, Sightings] = {}  # by where the sensor is mounted
         self._last_scan_ns: int | None = None
+        self._wrong = WrongShare()
         self._unknown: Counter[str] = Counter()
         self._images_without_camera = 0
 
@@ -102,8 +104,10 @@ class MixtureBuilder:
         match mixture:
             case ScanMixture():
                 if pose is not None:
-                    for index in mixture.landmarks_seen(pose):
+                    seen = mixture.landmarks_seen(pose)
+                    for index in seen:
                         self._repetition.see(index, mixture.stamp_ns)
+                    self._wrong.count(wrong=not seen)
                     self._noises.learn(mixture, pose)
             case _ if mixture.by_compass:
                 if pose is not None:  # a heading alone is lost on a robot that knows nothing
@@ -114,8 +118,11 @@ class MixtureBuilder:
     def _scan(self, scan: LandmarkScan) -> ScanMixture | None:
         wider = self._wider_landmarks(scan.stamp_ns)
         noise, wider_shared = self._noises.of(scan)
-        mixture = scan_mixture(scan, self._field, self._detection, wider, self._misses(scan), noise, wider_shared)
-        if mixture is not None and (sightings := self._of_sensor(scan)) is not None:
+        sightings = self._of_sensor(scan)
+        coverage = None if sightings is None else sightings.coverage
+        detection = replace(self._detection, nothing_right=self._wrong.share(self._detection.nothing_right))
+        mixture = scan_mixture(scan, self._field, detection, wider, self._misses(scan), noise, wider_shared, coverage)
+        if mixture is not None and sightings is not None:
             sightings.see(mixture.scan.range_bearing)
         self._last_scan_ns = scan.stamp_ns
         return mixture

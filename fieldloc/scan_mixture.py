@@ -5,9 +5,10 @@
                          (1 - clutter) / m * N(range, bearing)       if it is that one of the m that it may be
                      + (1 - right) * product of u
 
-with u the density of a thing that may be anywhere: alike over all bearings, and over ranges up to the map's diagonal.
-Once it is known what the sensor covers, each assignment also has the probability that of the landmarks covered just the
-others are not seen; what is all clutter or not right has that of a robot that may be anywhere.
+with u the density of a thing that may be anywhere: alike over all bearings, and over ranges up to the map's diagonal;
+once it is known where the sensor sees things at all, alike over that. Once it is known what it covers, each assignment
+also has the probability that of the landmarks covered just the others are not seen; what is all clutter or not right
+has that of a robot that may be anywhere.
 """
 
 import math
@@ -27,7 +28,7 @@ from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import likeliest
-from fieldloc.scan_coverage import Misses
+from fieldloc.scan_coverage import Coverage, Misses
 from fieldloc.scan_expansion import expand
 from fieldloc.scan_factors import landmark_factors
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
@@ -221,10 +222,11 @@ def scan_mixture(
     misses: Misses | None = None,
     noise: ScanNoise = AS_STATED,
     wider_shared: FloatArray | None = None,
+    coverage: Coverage | None = None,
 ) -> ScanMixture | None:
     """wider: (m, 2) by how much variances of range and bearing are to be widened, per landmark of the map;
-    wider_shared: (2,) the same of what all share, None for not at all. misses: None where it is not known what the
-    sensor covers.
+    wider_shared: (2,) the same of what all share, None for not at all. misses, coverage: None where it is not known
+    what the sensor covers.
 
     None where no landmark can be of the map. Left out are landmarks with a label that is not on the map, and numbers
     that no sensor can mean. ValueError for a covariance that is not positive definite.
@@ -248,7 +250,10 @@ def scan_mixture(
     may = (np.arange(m) == index[:, None]) | (index[:, None] == _ANY)
     r = used.range_bearing[:, 0]
     log_anywhere = -math.log(2 * math.pi * max(on_map.diagonal_m, float(r.max())))
-    log_clutter = np.full(len(rows), math.log(detection.clutter) + log_anywhere)
+    log_wrong = np.full(len(rows), log_anywhere)
+    if coverage is not None:
+        log_wrong = coverage.log_density(used.range_bearing, log_anywhere)
+    log_clutter = math.log(detection.clutter) + log_wrong
     rr, rb, bb = upper(own)
     # half the smaller variance at least of where one was seen
     smallest = (rr * bb - rb * rb) * r * r / (rr + r * r * bb)
@@ -279,7 +284,7 @@ def scan_mixture(
         math.log1p(-detection.nothing_right) + log_all_clutter,
         float(
             np.logaddexp(
-                math.log(detection.nothing_right) + len(rows) * log_anywhere,
+                math.log(detection.nothing_right) + float(log_wrong.sum()),
                 math.log1p(-detection.nothing_right) + log_all_clutter,
             )
             + (0.0 if misses is None else misses.log_anywhere)

@@ -206,3 +206,49 @@ def test_a_sensor_that_always_turns_is_not_known_to_cover_anything() -> None:
         built = builder.build(scan_of(POSE, POSITIONS, stamp_ns=k, mount=np.array([0.0, 0.0, 0.1 * k])))
         assert isinstance(built, ScanMixture)
         assert built.misses is None
+
+
+# -- what is wrong looks as all does that the sensor sees --------------------------------------------------------------
+
+
+def test_what_is_wrong_has_a_density_and_is_looked_for_where_the_sensor_sees_things() -> None:
+    coverage = coverage_of(field_of())
+    range_m, bearing = np.meshgrid(np.arange(0.005, 8.0, 0.01), np.arange(-np.pi + 0.005, np.pi, 0.01))
+    grid = np.column_stack([range_m.ravel(), bearing.ravel()])
+    density = np.exp(coverage.log_density(grid, float(-np.log(2 * np.pi * 8.0))))
+    assert density.sum() * 0.01**2 == pytest.approx(1.0, abs=0.02)  # the sector's borders cut cells of the grid
+    inside, beside, beyond = coverage.log_density(np.array([[2.0, 0.5], [2.0, 1.5], [6.0, 0.5]]), -4.0)
+    assert beside == beyond < inside - 3.0
+    # all of a sector of 2 rad from 0.5 to 5 m, but for its outermost hundredths
+    assert inside == pytest.approx(np.log(0.96 / 9.0 + 0.04 * np.exp(-4.0)), abs=0.1)
+
+
+def test_a_scan_is_as_likely_clutter_as_its_sensor_shows_things_there() -> None:
+    field, scan = field_of(), scan_of(POSE, POSITIONS[:2])
+    coverage = coverage_of(field)
+    out = scan_mixture(scan, field, DETECTION, np.ones((5, 2)), coverage=coverage)
+    assert out is not None
+    x_min, y_min, x_max, y_max = field.bounds
+    anywhere = float(-np.log(2 * np.pi * np.hypot(x_max - x_min, y_max - y_min)))
+    of_all = coverage.log_density(scan.range_bearing, anywhere).sum()
+    all_clutter = (1 - DETECTION.nothing_right) * DETECTION.clutter**2
+    assert out.log_outlier == pytest.approx(of_all + np.log(DETECTION.nothing_right + all_clutter))
+
+
+def test_where_a_quarter_of_the_scans_are_wrong_so_may_be_the_next() -> None:
+    """And where none is, still as many as was thought before."""
+    field = field_of()
+    nowhere = np.array([[4.0, 2.9]])
+    right = []
+    for every in (4, 10**9):
+        builder = MixtureBuilder(field, detection=DETECTION, correlation=ErrorCorrelation(0.0, 0.0, 0.0, 0.0, 0.0))
+        for k in range(200):
+            scan = scan_of(POSE, nowhere if k % every == 3 else POSITIONS[:2], k * 10**9)
+            seen = builder.build(scan)
+            assert seen is not None
+            builder.remember(seen, POSE)
+        last = builder.build(scan_of(POSE, POSITIONS[:2], 200 * 10**9))
+        assert isinstance(last, ScanMixture)
+        right.append(float(np.exp(last.log_right - last.model.log_clutter.sum())))
+    wrong = (0.1 * 20 + 50) / (20 + 200)
+    np.testing.assert_allclose(right, [1.0 - wrong, 0.9], atol=1e-9)
