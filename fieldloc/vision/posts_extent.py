@@ -1,5 +1,7 @@
 """How far up and down a strip of a post's colour goes, roughly: up as long as there is an edge, down to the turf."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,16 +14,25 @@ _SAMPLES = 56  # along a strip and what may be above and below it
 _FINE = np.linspace(-1.0, 1.0, 11)  # steps about where it ends above
 _REACH = 1.5, 9.0  # up and down from the strip, in its lengths and its widths
 _GAP = 0.15  # of a strip's length that may be hidden within it
+_LEAST_BELOW = 0.5  # of the way down to the foot on which there is an edge
 _DARKEST = 0.4  # of its own light that a post keeps in shade
 _LESS = 0.3  # of what it differs where both edges are seen: darker beside it
 _DIFFERENT = 6.0, 0.15  # of 255, and of the same: another light beside it, be it a lighter wall's
 
 
-def extent_of(strips: Strips, view: View, turf: Turf, own: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where the left and the right edge end above (n, 2), and where the post ends below (n,). own: (n, 3) colours.
+@dataclass(frozen=True, slots=True, eq=False)
+class Extent:
+    """tops: (n, 2) where the left and the right edge end above; other_tops: where they do as edges to what may be
+    lighter, too. foot_v: (n,) where the post ends below; unbroken: (n,) whether there is an edge most of the way."""
 
-    The second of the former: where they end as edges to what may be lighter, too.
-    """
+    tops: FloatArray
+    other_tops: FloatArray
+    foot_v: FloatArray
+    unbroken: Mask
+
+
+def extent_of(strips: Strips, view: View, turf: Turf, own: FloatArray) -> Extent:
+    """own: (n, 3) colours of the inside."""
     length = strips.rows[:, 1] - strips.rows[:, 0]
     reach = np.maximum(_REACH[0] * length, _REACH[1] * strips.width_px)
     first = np.maximum(strips.rows[:, 0] - reach, 0)
@@ -46,7 +57,11 @@ def extent_of(strips: Strips, view: View, turf: Turf, own: FloatArray) -> tuple[
     below = np.arange(_SAMPLES) > start[:, None]
     ground = np.where(below & grassy, np.arange(_SAMPLES), _SAMPLES).min(axis=1) - 1
     foot = np.minimum(_reached(lower, start, gap, 1), np.maximum(ground, start))
-    return _finer(strips, view, own, tops[:2], step).T, tops[2:].T, _at(v, foot)
+    # between where both edges are seen and the foot there is at least one: a board may go on to one side
+    between = (v > strips.rows[:, 1:]) & (np.arange(_SAMPLES) <= foot[:, None])
+    seen = np.count_nonzero(between & other.any(axis=0), axis=1)
+    unbroken = seen >= _LEAST_BELOW * np.count_nonzero(between, axis=1) - gap
+    return Extent(_finer(strips, view, own, tops[:2], step).T, tops[2:].T, _at(v, foot), unbroken)
 
 
 def _finer(strips: Strips, view: View, own: FloatArray, tops: FloatArray, step: FloatArray) -> FloatArray:

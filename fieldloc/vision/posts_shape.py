@@ -73,8 +73,9 @@ def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour)
         return []
     view = View(picture, colour)
     own = _own_colours(strips, view)
-    side_tops, other_tops, foot_v = extent_of(strips, view, turf, own)
-    stand = _standing(strips, foot_v, foot_v - side_tops.min(axis=1), turf, len(picture))
+    extent = extent_of(strips, view, turf, own)
+    side_tops, other_tops, foot_v = extent.tops, extent.other_tops, extent.foot_v
+    stand = _standing(strips, foot_v, foot_v - side_tops.min(axis=1), turf, len(picture)) * extent.unbroken
     # a post whose foot another thing hides is still seen down to where that begins, not to less
     good = foot_v > strips.rows[:, 1] - 0.3 * (strips.rows[:, 1] - strips.rows[:, 0])
     good &= view.has_hue(own)
