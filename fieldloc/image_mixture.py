@@ -23,7 +23,7 @@ from fieldloc.covariance import log_peaks
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
 from fieldloc.fixes.line_solutions import log_clutter
-from fieldloc.fixes.lines import lines_on_the_ground
+from fieldloc.fixes.lines import lines_on_the_ground, square_root
 from fieldloc.image_anchors import Anchors, joined, nothing
 from fieldloc.image_lines import line_anchors
 from fieldloc.image_map import ImageMap, image_map
@@ -51,8 +51,7 @@ def image_mixture(
     if not np.isfinite(features.mount.covariance).all():
         return None
     image_field = image_map(field)
-    values, vectors = np.linalg.eigh(features.mount.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = square_root(np.asarray(features.mount.covariance, dtype=np.float64).tobytes())
     posts = posts_seen(features.posts, camera, features.mount, root, field, detection)
     lines = lines_on_the_ground(camera, features.mount, features.lines)
     if lines is None and not len(posts):
@@ -104,7 +103,7 @@ def _turned(stack: FactorStack, log_weights: FloatArray, symmetries: FloatArray)
     match stack:
         case PoseStack():
             poses = [stack.poses, *(se2.compose(turn, stack.poses) for turn in symmetries)]
-            copies: FactorStack = PoseStack(np.concatenate(poses), np.tile(stack.covariances, (count, 1, 1)))
+            copies: FactorStack = PoseStack(np.concatenate(poses), np.concatenate([stack.covariances] * count))
         case LineStack():
             turns = np.concatenate([np.zeros((1, 3)), symmetries])
             normal = stack.normal_rad + turns[:, 2:]
@@ -115,11 +114,11 @@ def _turned(stack: FactorStack, log_weights: FloatArray, symmetries: FloatArray)
                 se2.wrap(normal).ravel(),
                 (stack.offset_m + c * x + s * y).ravel(),
                 (stack.along_m + (c * y - s * x)[..., None]).reshape(-1, 2),
-                np.tile(stack.covariances, (count, 1, 1)),
+                np.concatenate([stack.covariances] * count),
             )
         case _:
             return stack, log_weights
-    return copies, np.tile(log_weights, count)
+    return copies, np.concatenate([log_weights] * count)
 
 
 def _line_stack(anchors: Anchors, rows: IntArray) -> LineStack:

@@ -106,7 +106,7 @@ def solve(
     of_lines[..., 3:7] = anchors.by_mount[rows]
     by_posts[..., 3:7] = posts.whitened_by_mount * in_use
     log_norm = anchors.log_weights[rows] + anchors.log_norm[rows] + is_matched @ posts.log_norm
-    for _ in range(steps):
+    for left in reversed(range(steps)):
         _linearise_anchors(of_lines, of_anchor, at, poses)
         if windows is not None:
             _linearise_windows(model[:, 3], windows, poses)
@@ -124,8 +124,11 @@ def solve(
             log_survey = _add_survey(whole[:, _ROWS:].reshape(by_posts.shape), surveyed, poses)
         squares = np.ascontiguousarray(np.swapaxes(whole, 1, 2)) @ whole
         information, gradient = squares[:, :7, :7] + _WEAK, squares[:, :7, 7:]
-        covariance = np.linalg.inv(information)
-        step = (covariance @ gradient)[..., 0]
+        if left:
+            step = np.linalg.solve(information, gradient)[..., 0]
+        else:
+            covariance = np.linalg.inv(information)
+            step = (covariance @ gradient)[..., 0]
         poses = _moved(poses, step[:, :3])
     misfit = squares[:, 7, 7] - (gradient[..., 0] * step).sum(axis=1)
     log_volume = 1.5 * _LOG_2PI - 0.5 * np.linalg.slogdet(information)[1]

@@ -67,7 +67,7 @@ def lines_on_the_ground(
         return None
     agree, bearing = agreeing(usable)
     segments = usable.only(agree)
-    root = _square_root(np.asarray(mount.covariance, dtype=np.float64).tobytes())
+    root = square_root(np.asarray(mount.covariance, dtype=np.float64).tobytes())
     while len(segments.observed):
         fit = _fit(mount, root, segments, bearing)
         if fit.settled and fit.against.max() < _MISFIT_SIGMAS**2:
@@ -223,7 +223,7 @@ def _moved(mount: CameraMount, change: FloatArray) -> CameraMount:
 
 
 @lru_cache(maxsize=64)
-def _square_root(covariance: bytes) -> FloatArray:
+def square_root(covariance: bytes) -> FloatArray:
     """L with L L^T = covariance (4, 4); zeros in it (what is taken as exact) are welcome."""
     values, vectors = np.linalg.eigh(np.frombuffer(covariance, dtype=np.float64).reshape(4, 4))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
