@@ -17,6 +17,7 @@ _MIDDLE = 0.25, 0.75  # of the width: where a foot is nearly level
 _OUTER = 0.06, 0.6  # of the width from the outer edge: beside the bar that the post carries
 _REACH = 1.2  # of the width, up and down
 _BELOW_PX = np.array([2.0, 3.0, 4.0])
+_ROWS_BELOW, _LINE = 6, 0.6  # looked at for turf, over that much of the post's width
 _NEAR_PX = 5.0  # up and down from where the hue changes
 _GREEN = 0.22  # of the way from the post's hue to the turf's: in the sun turf is nearly white
 _NEARLY = 0.6  # as steep as the steepest
@@ -40,7 +41,7 @@ def foot_of(
     foot_v: where it is roughly. own: (3,) the post's colour.
     """
     near_v = _hue_change(picture, edges, foot_v, own, turf.colour)
-    if near_v is None:
+    if near_v is None or not _has_turf_below(edges, near_v, turf):
         return None
     v = np.minimum(np.rint(near_v + _BELOW_PX), len(picture) - 1)
     middle = np.rint(0.5 * (edges[0][0] + edges[1][0] + (edges[0][1] + edges[1][1]) * v))
@@ -70,6 +71,13 @@ def top_of(
         return None
     places_found, rows, light_rows = found
     return _level(np.sqrt(1.0 - (2.0 * places_found - 1.0) ** 2), rows, light_rows)
+
+
+def _has_turf_below(edges: Lines, foot_v: float, turf: Turf) -> bool:
+    """A line may come first, but what hides a foot goes on."""
+    v = foot_v + 2.0 + np.arange(_ROWS_BELOW) / (_ROWS_BELOW - 1) * (2.0 + _LINE * max(_width(edges, foot_v), 0.0))
+    u = 0.5 * (edges[0][0] + edges[1][0] + (edges[0][1] + edges[1][1]) * v)
+    return bool(np.count_nonzero(turf.at(np.stack([u, v], axis=1))) >= _ROWS_BELOW // 3)
 
 
 def _hue_change(picture: UInt8Array, edges: Lines, foot_v: float, own: FloatArray, turf: FloatArray) -> float | None:
