@@ -9,7 +9,7 @@ import pytest
 from turf_drawings import exposed, turf, with_ellipse, with_spot, with_stripe
 
 from fieldloc.camera import Camera
-from fieldloc.vision import lines
+from fieldloc.vision import lines, rim
 from fieldloc.vision.detect import detect
 from fieldloc.vision.detections import SeenLine
 from fieldloc.vision.picture import load_picture
@@ -35,8 +35,15 @@ def wide(point, width_px):
     return width_px * point[1] / 240.0
 
 
-def across(line: SeenLine, first, last):
-    """(2,) of the line's ends from the true one, and the (2, 2) covariance that is claimed for that."""
+def across(line: SeenLine, first, last, widths=(0.0, 0.0)):
+    """(2,) of the line's ends from the true one, and the (2, 2) covariance that is claimed for that. widths: of the
+    stripe on the ground, whose middle is nearer to the horizon, at row 0, than to its nearer edge.
+    """
+    along = (last - first) / np.linalg.norm(last - first)
+    normal = np.array([-along[1], along[0]])
+    first, last = (
+        end - normal * width**2 * normal[1] / (4.0 * end[1]) for end, width in zip((first, last), widths, strict=True)
+    )
     along = (last - first) / np.linalg.norm(last - first)
     normal = np.array([-along[1], along[0]])
     gain = np.kron(np.eye(2), normal)
@@ -52,7 +59,7 @@ def test_a_line_is_found_to_a_part_of_a_pixel_with_its_width(rng, width_px, turn
     found = detect(exposed(with_stripe(turf(rng), first, last, widths), rng))
     assert len(found.lines) == 1
     line = found.lines[0]
-    off, _ = across(line, first, last)
+    off, _ = across(line, first, last, widths)
     assert np.abs(off).max() < 0.15
     assert np.linalg.norm(line.ends_px[1] - line.ends_px[0]) == pytest.approx(340.0, abs=25.0)
     true = np.interp(line.ends_px[:, 1], *zip(*sorted(zip((first[1], last[1]), widths, strict=True)), strict=True))
@@ -69,7 +76,7 @@ def test_the_covariance_of_a_line_says_how_far_off_it_is(monkeypatch):
         width = rng.uniform(3.0, 14.0)
         widths = wide(first, width), wide(last, width)
         found = detect(exposed(with_stripe(turf(rng), first, last, widths), rng, noise=20.0))
-        off, covariance = across(max(found.lines, key=lambda line: np.ptp(line.ends_px)), first, last)
+        off, covariance = across(max(found.lines, key=lambda line: np.ptp(line.ends_px)), first, last, widths)
         scores.append(off @ np.linalg.solve(covariance, off) / 2.0)
     # Half of chi squares of two degrees of freedom, the mean of 24 of them: 1 +- 0.2
     assert 0.5 < np.mean(scores) < 1.5
@@ -117,7 +124,8 @@ def test_something_white_that_stands_on_the_turf_is_no_line(rng):
     assert detect(exposed(light, rng)).lines == ()
 
 
-def test_a_circle_is_a_circle_and_no_line(rng):
+def test_a_circle_is_a_circle_and_no_line(rng, monkeypatch):
+    monkeypatch.setattr(rim, "middle_shift", lambda pixels, *_: np.zeros((2, len(pixels))))  # it lies not on the ground
     centre = np.array([330.0, 280.0])
     found = detect(exposed(with_ellipse(turf(rng), centre, (220.0, 70.0), 9.0), rng))
     assert len(found.circles) == 1

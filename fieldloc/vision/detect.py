@@ -52,7 +52,7 @@ def detect(
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     circle = None
     if found:
-        circle = trace(grey, found[0], _on(chains, found[1]), plane, settings, bent=False)
+        circle = trace(grey, found[0], _on(chains, found[1]), plane, turf, settings, bent=False)
     posts = find_posts(picture, turf, colours, camera)
     if settings.finder == "runs":
         rest = parts(chains, found[1], False) if found and circle else chains
@@ -61,7 +61,7 @@ def detect(
         pieces = edge_pairs(grey, turf, found[0] if found and circle else None, plane, settings)
     lines, arcs = fit_lines(grey, merged(pieces), plane, turf, settings)
     if not circle and (ellipse := ellipse_of(arcs, view)):
-        circle = trace(grey, ellipse, _on(chains, points_on(ellipse, chains)), plane, settings, bent=True)
+        circle = trace(grey, ellipse, _on(chains, points_on(ellipse, chains)), plane, turf, settings, bent=True)
     lines = sort_out(lines, circle, posts, grey, turf, settings)
     return Detections(
         width,

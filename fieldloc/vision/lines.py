@@ -1,8 +1,6 @@
 """Straight pieces of white -> lines with both edges, width and a covariance from their own residuals.
 
-A line's middle is the one between its two edges in the picture. Perspective puts the middle on the ground elsewhere: a
-line w pixels wide and V pixels below the horizon is seen about w^2 / 4V lower than its middle is, half a pixel where
-w = 30 and V = 400. Who wants that exact projects both of its edges.
+A line's middle is that of the stripe on the ground (`fieldloc.vision.stripes`), nearly half way between its edges.
 """
 
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from fieldloc.vision.profiles import measure
 from fieldloc.vision.segments import Segments
 from fieldloc.vision.settings import VisionSettings
 from fieldloc.vision.straight import Plane
+from fieldloc.vision.stripes import middle_shift
 from fieldloc.vision.turf import Mask, Turf
 
 _COARSE_PX, _SPACING_PX = 4.0, 1.5  # of profiles along a line, to come onto it and to measure it
@@ -87,7 +86,7 @@ def fit_lines(
     arcs = [_curve(segments.ends[row], found, row) for row in np.flatnonzero(like_lines & ~straight).tolist()]
     kept = like_lines & straight
     found = Middles(found.place[kept], found.off[kept], found.width[kept], found.used[kept], found.bare[kept])
-    return (_seen(segments.ends[kept], found, plane) if kept.any() else ()), arcs
+    return (_seen(segments.ends[kept], found, plane, turf, height) if kept.any() else ()), arcs
 
 
 def _curve(ends: FloatArray, found: Middles, row: int) -> FloatArray:
@@ -202,7 +201,7 @@ def _correlation(rest: FloatArray, used: Mask) -> float:
     return total
 
 
-def _seen(ends: FloatArray, found: Middles, plane: Plane) -> tuple[SeenLine, ...]:
+def _seen(ends: FloatArray, found: Middles, plane: Plane, turf: Turf, height: int) -> tuple[SeenLine, ...]:
     along = ends[:, 1] - ends[:, 0]
     along = along / np.hypot(along[:, :1], along[:, 1:])
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -219,13 +218,16 @@ def _seen(ends: FloatArray, found: Middles, plane: Plane) -> tuple[SeenLine, ...
     width_variance = shape.diagonal(axis1=1, axis2=2) * (wide * wide).sum(axis=1)[:, None] + 2.0 * _FLOOR_PX**2
     points = ends[:, :1] + at[:, :, None] * along[:, None] + found.on_line(found.off, at)[:, :, None] * across[:, None]
     pixels, normals, zoom = plane.normals_in_picture(points, np.broadcast_to(across[:, None], points.shape))
+    widths = np.maximum(found.on_line(found.width, at), 0.0) * zoom
+    shift, unsure = middle_shift(pixels, normals, widths, turf, height)
+    pixels = pixels + shift[..., None] * normals
     covariance = covariance * zoom[:, :, None] * zoom[:, None, :] + _FLOOR_PX**2 * np.eye(2)
+    covariance += unsure[:, :, None] * unsure[:, None, :]
     # Along it nothing is known of an end; what stands there, as much as across it, only keeps the matrix positive.
     tangents = np.stack([-normals[..., 1], normals[..., 0]], axis=-1)
     full = np.einsum("nij,nia,njb->niajb", covariance, normals, normals)
     own = covariance.diagonal(axis1=1, axis2=2)
     full[:, [0, 1], :, [0, 1]] += np.einsum("ni,nia,nib->inab", own, tangents, tangents)
     full = full.reshape(-1, 4, 4)
-    widths = np.maximum(found.on_line(found.width, at), 0.0) * zoom
     sigmas = np.sqrt(width_variance) * zoom
     return tuple(SeenLine(*row) for row in zip(pixels, full, widths, sigmas, strict=True))

@@ -10,7 +10,8 @@ from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.profiles import measure
 from fieldloc.vision.settings import VisionSettings
 from fieldloc.vision.straight import Plane
-from fieldloc.vision.turf import Mask
+from fieldloc.vision.stripes import middle_shift
+from fieldloc.vision.turf import Mask, Turf
 
 _SPACING_PX = 4.0  # of the points along the circle
 _FEWEST, _MOST = 24, 128  # points all around
@@ -35,7 +36,14 @@ _COS, _SIN, _PARTS = np.cos(2.0 * np.pi * _TURNS)[:, None], np.sin(2.0 * np.pi *
 
 
 def trace(
-    grey: UInt8Array, ellipse: Ellipse, on: FloatArray, plane: Plane, settings: VisionSettings, *, bent: bool
+    grey: UInt8Array,
+    ellipse: Ellipse,
+    on: FloatArray,
+    plane: Plane,
+    turf: Turf,
+    settings: VisionSettings,
+    *,
+    bent: bool,
 ) -> SeenCircle | None:
     """The points of the picture `grey` on the middle of the circle's line, where it is seen.
 
@@ -66,12 +74,15 @@ def trace(
     # Measured to a fraction of a pixel, two straight lines that run along an ellipse are straight.
     if not bent and not _is_round(ellipse, middles, good):
         return None
-    sigma = np.sqrt(_local(off[good] ** 2) + _FLOOR_PX**2) * zoom[good]
+    pixels, across = pixels[good], across[good]
+    pixels = pixels + found.middle_px[good, None] * across
+    shift, unsure = middle_shift(pixels, across, found.width_px[good], turf, grey.shape[0])
+    sigma = np.hypot(np.sqrt(_local(off[good] ** 2) + _FLOOR_PX**2) * zoom[good], unsure)
     centre, axes = ellipse.axes()
     lengths = np.hypot(axes[:, 0], axes[:, 1])
     angle = float(np.arctan2(axes[0, 1], axes[0, 0]))
     numbers = np.array([*centre, *lengths, angle])
-    return SeenCircle(pixels[good] + (found.middle_px[good])[:, None] * across[good], sigma, numbers)
+    return SeenCircle(pixels + shift[:, None] * across, sigma, numbers)
 
 
 def _is_round(ellipse: Ellipse, middles: FloatArray, good: Mask) -> bool:

@@ -11,6 +11,7 @@ from fieldloc.vision.detections import SeenCircle, SeenLine, SeenPost
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.profiles import measure
 from fieldloc.vision.settings import VisionSettings
+from fieldloc.vision.stripes import HIGHEST
 from fieldloc.vision.turf import Mask, Turf
 
 _COVERED = 0.7  # share of a piece within wider or longer ones
@@ -18,7 +19,7 @@ _CIRCLE_PX = 2.5  # between the circle's points, by half
 _MARK_WIDTHS, _MARK_LENGTH = 30.0, 0.15  # longer than so many widths or than this of the picture's width is no mark
 _STUB_WIDTHS = 3.5  # what is shorter, and neither at another line nor at the picture's border, is a patch
 _LIMB_WIDTHS = 8.0  # what is shorter and ends at something that is no turf is a part of that
-_LOWEST_PX, _HIGHEST = 8.0, 0.35  # of the horizon above the field's border, in pixels and of the picture's height
+_LOWEST_PX = 8.0  # of the horizon above the field's border, surely
 _TAPER = 0.25  # of the logarithm of a width, beyond perspective and three standard deviations
 _BEYOND = 8  # places looked at beyond a line's end
 _STEEP = 0.6  # of a unit along a line, down the picture: what is flatter is not upright
@@ -118,7 +119,7 @@ def _tapers_as_turf(ends: FloatArray, width: FloatArray, sigma: FloatArray, turf
     grows = np.log(wide[:, 1] / wide[:, 0])
     noise = np.hypot(*(sigma / wide).T)
     most = 2.0 * np.abs(np.log((below[:, 1] + _LOWEST_PX) / (below[:, 0] + _LOWEST_PX)))
-    deep = below + _HIGHEST * height
+    deep = below + HIGHEST * height
     least = np.log(deep[:, 1] / deep[:, 0])
     along = np.abs(ends[:, 1] - ends[:, 0])
     steep = along[:, 1] > _STEEP * np.hypot(along[:, 0], along[:, 1])
