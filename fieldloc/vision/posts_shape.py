@@ -29,7 +29,7 @@ _GREY = 0.56  # the least part of a white post's colour by its largest
 _SURE_BAR = 0.65  # of the places: with that much of a bar, another thing may hide the foot
 _ON_TURF = 0.6  # of the points beneath and beside the foot
 _WIDEST_GOAL = 3.0  # by its height
-_NEARLY = 0.2  # of a score
+_NEARLY, _FAR = 0.2, 1.5  # of a score; of contrasts
 _UNLIKE = 2.0  # times slimmer or stouter than the clearest post of the picture
 _BESIDE_TOP = 0.5  # of the points beside the upper part may be turf
 
@@ -148,11 +148,15 @@ def apart(uprights: list[Upright]) -> list[Upright]:
         rivals = [n for n, other in enumerate(kept) if _touch(one, other)]
         if not rivals:
             kept.append(one)
-        elif (
-            len(rivals) == 1 and one.score > kept[rivals[0]].score - _NEARLY and one.contrast > kept[rivals[0]].contrast
-        ):
+        elif len(rivals) == 1 and _is_clearer(one, kept[rivals[0]]):
             kept[rivals[0]] = one
     return kept
+
+
+def _is_clearer(one: Upright, other: Upright) -> bool:
+    """Whether one is nearly as good as the other and has clearer edges, or is good enough and has far clearer ones."""
+    less = other.score - one.score
+    return one.contrast > other.contrast and less < _NEARLY * (2.0 if one.contrast > _FAR * other.contrast else 1.0)
 
 
 def is_mate(one: Upright, other: Upright) -> bool:
