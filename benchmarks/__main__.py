@@ -2,7 +2,7 @@
 
 import sys
 
-from benchmarks import ambiguity, bounds, engines, pareto, reading, robots, vision, writing
+from benchmarks import ambiguity, bounds, engines, pareto, reading, robots, smoothing, vision, writing
 
 BENCHMARKS = {
     "ambiguity": ambiguity,
@@ -11,6 +11,7 @@ BENCHMARKS = {
     "pareto": pareto,
     "reading": reading,
     "robots": robots,
+    "smoothing": smoothing,
     "vision": vision,
     "writing": writing,
 }
