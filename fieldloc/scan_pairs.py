@@ -9,7 +9,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.scan_model import ScanModel
 from fieldloc.scan_moments import determinant, turned, upper_of
 
-_FEW = 4096  # numbers that are sooner computed with than chosen from
+_FEW = 256  # numbers that are sooner computed with than chosen from
 
 
 class Pairs(NamedTuple):
