@@ -31,7 +31,7 @@ from fieldloc.pose import FloatArray
 from logs.replay import replay
 
 NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields, "odometry_delay_s")
-_CONVERGED_S = 60.0
+_CONVERGED_S = 30.0
 _FIRST_S = 5.0  # by then a robot that is told nothing has seen where it is
 
 _Some = TypeVar("_Some")
@@ -60,10 +60,10 @@ def run(options: list[str]) -> str:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks robots", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--what", choices=["robots", "mounts", "all"], default="all", help="which robots (all)")
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="robots of each kind (20)")
+    parser.add_argument("--what", choices=["robots", "mounts", "all"], default="robots", help="which (robots)")
+    parser.add_argument("--seeds", type=int, default=100, metavar="N", help="robots of each kind (100)")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first robot's seed (0)")
-    parser.add_argument("--duration", type=float, default=120.0, metavar="S", help="of a log; a game takes half (120)")
+    parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="of a log; a game takes half (60)")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (1)")
     chosen = parser.parse_args(options)
     seeds = range(chosen.first, chosen.first + chosen.seeds)
