@@ -21,7 +21,7 @@ from fieldloc.locate.task import Task
 from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import Detections
 
-_STAGES = ((10.0, 35.0, 2), (4.0, 40.0, 1), (1.0, 30.0, 1), (0.0, 30.0, 1))
+_STAGES = ((10.0, 35.0, 3), (5.0, 40.0, 2), (1.0, 30.0, 1), (0.0, 30.0, 1))
 """By how much states may be off, px; so much worse than the best is hopeless; how often they are fitted."""
 _SHARPER = 0.25
 _DOUBTED, _DOUBTING = 4, 1  # states are fitted without their posts, too, from that stage on
