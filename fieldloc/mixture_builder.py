@@ -119,9 +119,9 @@ class MixtureBuilder:
         wider = self._wider_landmarks(scan.stamp_ns)
         noise, wider_shared = self._noises.of(scan)
         sightings = self._of_sensor(scan)
-        coverage = None if sightings is None else sightings.coverage
+        sector = None if sightings is None else sightings.sector
         detection = replace(self._detection, nothing_right=self._wrong.share(self._detection.nothing_right))
-        mixture = scan_mixture(scan, self._field, detection, wider, self._misses(scan), noise, wider_shared, coverage)
+        mixture = scan_mixture(scan, self._field, detection, wider, self._misses(scan), noise, wider_shared, sector)
         if mixture is not None and sightings is not None:
             sightings.see(mixture.scan.range_bearing)
         self._last_scan_ns = scan.stamp_ns

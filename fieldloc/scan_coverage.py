@@ -14,6 +14,7 @@ from fieldloc.field import FieldMap
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray, wrap
 from fieldloc.regions import anywhere
+from fieldloc.scan_wrong import Sector
 
 _ENOUGH = 50  # sightings before anything is said
 _GROWTH = 1.2  # times as many, before it is said anew
@@ -22,7 +23,6 @@ _KEPT = 4000
 _BEARINGS = np.array([0.05, 0.2, 0.8, 0.95])
 _FARTHEST = np.array([0.4, 0.75])
 _NEAREST = np.array([0.15, 0.3])  # of the far end: nearer things are seen better, until they are beneath the sensor
-_OUTSIDE = 0.01  # of what was seen is beyond each of the borders within which wrong things are looked for
 _LEAST = 1e-3  # m and rad: width of a fade
 _BODY_M = 0.15  # half width of what hides things behind it, stand and all
 _BODY_RAD = 0.03
@@ -33,13 +33,11 @@ _PLACES, _SEED = 400, 4
 class Coverage:
     """middle_rad: of all bearings. bearings_rad, ranges_m: (4,) rising; covered in full between the inner two, less and
     less towards the outer ones; bearings from the middle. detection: probability that a landmark there is seen.
-    within: (2, 2) range and bearing between which nearly all was seen. positions (m, 2), radii_m (m,) of the landmarks;
-    places (k, 3): poses all over the field."""
+    positions (m, 2), radii_m (m,) of the landmarks; places (k, 3): poses all over the field."""
 
     middle_rad: float
     bearings_rad: FloatArray
     ranges_m: FloatArray
-    within: FloatArray
     detection: float
     positions: FloatArray
     radii_m: FloatArray
@@ -88,16 +86,6 @@ class Coverage:
             return by_map
         return by_map | _behind(seen[:, 0], seen[:, 1] - self.middle_rad - at, far, radius)
 
-    def log_density(self, range_bearing: FloatArray, log_anywhere: float) -> FloatArray:
-        """(n,) of things that are none of the map's: as rare beyond where the sensor sees things as all is, where they
-        are as rare as is said, and alike within."""
-        r, bearing = range_bearing[:, 0], _turned(range_bearing[:, 1] - self.middle_rad)
-        low, high = self.within
-        inside = (r >= low[0]) & (r <= high[0]) & (bearing >= low[1]) & (bearing <= high[1])
-        beyond = 4.0 * _OUTSIDE
-        size = np.maximum(high - low, _LEAST).prod()
-        return np.asarray(np.log(beyond * np.exp(log_anywhere) + inside * (1.0 - beyond) / size))
-
     @cached_property
     def anywhere(self) -> FloatArray:
         """(k,) log probability that from places all over the field nothing is seen of what is covered."""
@@ -137,32 +125,39 @@ class Sightings:
         self._seen: list[FloatArray] = []
         self._count = self._next = 0
         self._coverage: Coverage | None = None
+        self._sector: Sector | None = None
 
     @property
     def coverage(self) -> Coverage | None:
         """None until enough was seen."""
         return self._coverage
 
+    @property
+    def sector(self) -> Sector | None:
+        """None until something was seen."""
+        return self._sector
+
     def see(self, range_bearing: FloatArray) -> None:
         """(n, 2), finite."""
         self._seen.append(range_bearing)
         self._count += len(range_bearing)
-        if self._count < max(_ENOUGH, self._next):
+        if not self._count or self._count < (self._next if self._coverage else min(self._next, _ENOUGH)):
             return
         self._next = int(np.ceil(_GROWTH * self._count))
         every = np.concatenate(self._seen)
         if len(every) > _KEPT:
             every = every[-_KEPT:]
             self._seen = [every]
+        self._sector = Sector.of(every)
+        if self._count < _ENOUGH:
+            return
         bearings = every[:, 1]
         middle = float(np.arctan2(np.sin(bearings).mean(), np.cos(bearings).mean()))
-        from_middle = wrap(bearings - middle)
         far = np.quantile(every[:, 0], _FARTHEST)
         self._coverage = Coverage(
             middle,
-            np.quantile(from_middle, _BEARINGS),
+            np.quantile(wrap(bearings - middle), _BEARINGS),
             np.append(_NEAREST * far[0], far),
-            np.quantile(np.stack([every[:, 0], from_middle], axis=-1), [_OUTSIDE, 1.0 - _OUTSIDE], axis=0),
             self._detection,
             self._positions,
             self._radii_m,

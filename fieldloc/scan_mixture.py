@@ -28,7 +28,7 @@ from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import likeliest
-from fieldloc.scan_coverage import Coverage, Misses
+from fieldloc.scan_coverage import Misses
 from fieldloc.scan_expansion import expand
 from fieldloc.scan_factors import landmark_factors
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
@@ -37,6 +37,7 @@ from fieldloc.scan_likelihood import log_sum
 from fieldloc.scan_model import ScanModel
 from fieldloc.scan_moments import determinant, upper
 from fieldloc.scan_noise import AS_STATED, ScanNoise
+from fieldloc.scan_wrong import Sector
 
 _ANY, _NONE = -1, -2  # instead of a landmark's index: it has no label, or one that is not on the map
 _RING_STEPS = 24
@@ -222,11 +223,11 @@ def scan_mixture(
     misses: Misses | None = None,
     noise: ScanNoise = AS_STATED,
     wider_shared: FloatArray | None = None,
-    coverage: Coverage | None = None,
+    sector: Sector | None = None,
 ) -> ScanMixture | None:
     """wider: (m, 2) by how much variances of range and bearing are to be widened, per landmark of the map;
-    wider_shared: (2,) the same of what all share, None for not at all. misses, coverage: None where it is not known
-    what the sensor covers.
+    wider_shared: (2,) the same of what all share, None for not at all. misses, sector: None where it is not known what
+    the sensor covers, where it sees anything.
 
     None where no landmark can be of the map. Left out are landmarks with a label that is not on the map, and numbers
     that no sensor can mean. ValueError for a covariance that is not positive definite.
@@ -251,8 +252,8 @@ def scan_mixture(
     r = used.range_bearing[:, 0]
     log_anywhere = -math.log(2 * math.pi * max(on_map.diagonal_m, float(r.max())))
     log_wrong = np.full(len(rows), log_anywhere)
-    if coverage is not None:
-        log_wrong = coverage.log_density(used.range_bearing, log_anywhere)
+    if sector is not None:
+        log_wrong = sector.log_density(used.range_bearing, log_anywhere)
     log_clutter = math.log(detection.clutter) + log_wrong
     rr, rb, bb = upper(own)
     # half the smaller variance at least of where one was seen

@@ -1,6 +1,42 @@
-"""How often nothing in a scan is what it seems to be, as the scans of a log themselves show."""
+"""How often what is in a scan is not what it seems to be, and where: as the scans of a log themselves show."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldloc.pose import FloatArray, wrap
 
 _BEFORE = 20.0  # scans that what is thought before is worth: the fewest that can show one in twenty
+_OUTSIDE = 0.01  # of all that was seen is left outside of each border, as a few may be anywhere
+_LEAST = 1e-3  # m and rad
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sector:
+    """Where a sensor sees things, right or wrong. middle_rad: of all bearings. low, high: (2,) range and bearing from
+    the middle. beyond: probability that the next one is outside."""
+
+    middle_rad: float
+    low: FloatArray
+    high: FloatArray
+    beyond: float
+
+    @staticmethod
+    def of(range_bearing: FloatArray) -> "Sector":
+        """Of all seen so far (n, 2). The next one is farther out than n on one side with probability 1 / (n + 1)."""
+        bearing = range_bearing[:, 1]
+        middle_rad = float(np.arctan2(np.sin(bearing).mean(), np.cos(bearing).mean()))
+        seen = np.stack([range_bearing[:, 0], wrap(bearing - middle_rad)], axis=-1)
+        low, high = np.quantile(seen, [_OUTSIDE, 1.0 - _OUTSIDE], axis=0)
+        low[0] = 0.0  # what is nearer than all landmarks were is seen too
+        return Sector(middle_rad, low, high, min(3.0 * max(_OUTSIDE, 1.0 / (len(seen) + 1)), 1.0))
+
+    def log_density(self, range_bearing: FloatArray, log_anywhere: float) -> FloatArray:
+        """(n,) of things that are none of the map's: alike inside, and outside as rare as they are anywhere."""
+        r, bearing = range_bearing[:, 0], wrap(range_bearing[:, 1] - self.middle_rad)
+        inside = (r >= self.low[0]) & (r <= self.high[0]) & (bearing >= self.low[1]) & (bearing <= self.high[1])
+        size = np.maximum(self.high - self.low, _LEAST).prod()
+        return np.asarray(np.log(self.beyond * np.exp(log_anywhere) + inside * (1.0 - self.beyond) / size))
 
 
 class WrongShare:

@@ -14,6 +14,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.scan_coverage import Coverage, Misses, Sightings
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
+from fieldloc.scan_wrong import Sector
 
 DETECTION = Detection(clutter=0.03, nothing_right=0.1, landmark=0.4)
 SIGMA = np.array([0.05, 0.03])
@@ -211,26 +212,43 @@ def test_a_sensor_that_always_turns_is_not_known_to_cover_anything() -> None:
 # -- what is wrong looks as all does that the sensor sees --------------------------------------------------------------
 
 
+def sector_of(count: int = 500) -> Sector:
+    random = np.random.default_rng(0)
+    return Sector.of(np.column_stack([random.uniform(0.5, 5.0, count), random.uniform(-1.0, 1.0, count)]))
+
+
+@pytest.mark.parametrize("count", [1, 3, 10, 40])
+def test_after_few_sights_the_next_is_outside_at_most_as_often_as_is_said(count: int) -> None:
+    random = np.random.default_rng(1)
+    outside = []
+    for _ in range(400):
+        seen = np.column_stack([random.uniform(0.5, 5.0, count + 1), random.uniform(-1.0, 1.0, count + 1)])
+        sector = Sector.of(seen[:-1])
+        outside.append(sector.log_density(seen[-1:], -50.0)[0] < -40.0)
+    # 0.025 is a standard deviation of a share of 400; who is out on two sides counts once
+    assert 0.5 * sector.beyond - 0.08 < np.mean(outside) < sector.beyond + 0.08
+
+
 def test_what_is_wrong_has_a_density_and_is_looked_for_where_the_sensor_sees_things() -> None:
-    coverage = coverage_of(field_of())
+    sector = sector_of()
     range_m, bearing = np.meshgrid(np.arange(0.005, 8.0, 0.01), np.arange(-np.pi + 0.005, np.pi, 0.01))
     grid = np.column_stack([range_m.ravel(), bearing.ravel()])
-    density = np.exp(coverage.log_density(grid, float(-np.log(2 * np.pi * 8.0))))
+    density = np.exp(sector.log_density(grid, float(-np.log(2 * np.pi * 8.0))))
     assert density.sum() * 0.01**2 == pytest.approx(1.0, abs=0.02)  # the sector's borders cut cells of the grid
-    inside, beside, beyond = coverage.log_density(np.array([[2.0, 0.5], [2.0, 1.5], [6.0, 0.5]]), -4.0)
+    inside, beside, beyond = sector.log_density(np.array([[2.0, 0.5], [2.0, 1.5], [6.0, 0.5]]), -4.0)
     assert beside == beyond < inside - 3.0
-    # all of a sector of 2 rad from 0.5 to 5 m, but for its outermost hundredths
-    assert inside == pytest.approx(np.log(0.96 / 9.0 + 0.04 * np.exp(-4.0)), abs=0.1)
+    # all of a sector of 2 rad up to 5 m, but for its outermost hundredths
+    assert inside == pytest.approx(np.log(0.97 / 10.0 + 0.03 * np.exp(-4.0)), abs=0.1)
 
 
 def test_a_scan_is_as_likely_clutter_as_its_sensor_shows_things_there() -> None:
     field, scan = field_of(), scan_of(POSE, POSITIONS[:2])
-    coverage = coverage_of(field)
-    out = scan_mixture(scan, field, DETECTION, np.ones((5, 2)), coverage=coverage)
+    sector = sector_of()
+    out = scan_mixture(scan, field, DETECTION, np.ones((5, 2)), sector=sector)
     assert out is not None
     x_min, y_min, x_max, y_max = field.bounds
     anywhere = float(-np.log(2 * np.pi * np.hypot(x_max - x_min, y_max - y_min)))
-    of_all = coverage.log_density(scan.range_bearing, anywhere).sum()
+    of_all = sector.log_density(scan.range_bearing, anywhere).sum()
     all_clutter = (1 - DETECTION.nothing_right) * DETECTION.clutter**2
     assert out.log_outlier == pytest.approx(of_all + np.log(DETECTION.nothing_right + all_clutter))
 
