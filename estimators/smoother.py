@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import zip_longest
 
 import numpy as np
 
@@ -165,27 +164,11 @@ class Smoother:
         return self._bank
 
     def _tell(self) -> None:
-        """The filter ahead hears at last what the odometry has said; what that has just said as well, only once.
-
-        A velocity that is held anyway until the next message moves nothing else.
-        """
+        """The filter ahead hears at last what the odometry has said."""
         untold, self._untold = self._untold, []
-        until_ns = [one.stamp_ns for one in untold[1:]]
-        for one, next_ns in zip_longest(untold, until_ns):
-            if next_ns is not None and self._repeats(one, next_ns):
-                continue
-            self._filter.predict(one)
-            self._odometry = one
-
-    def _repeats(self, odometry: Odometry, until_ns: int) -> bool:
-        before = self._odometry
-        return (
-            before is not None
-            and before.covariance is None
-            and odometry.covariance is None
-            and 0 <= until_ns - before.stamp_ns <= self._config.motion.max_hold_s * 1e9
-            and bool((before.velocity == odometry.velocity).all())
-        )
+        for odometry in untold:
+            self._filter.predict(odometry)
+            self._odometry = odometry
 
     def _forget(self, stamp_ns: int) -> int:
         """All that was recorded; the stamp that is reached."""
