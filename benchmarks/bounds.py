@@ -24,6 +24,7 @@ from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan, Measurement, Odometry
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
+from fieldloc.scan_distortion import KNOWN as UNDISTORTED
 from fieldloc.scan_noise import UNLEARNED
 from logs.replay import Recording, replay
 
@@ -40,10 +41,11 @@ KNOWN = Config(
     mixture=replace(Config().mixture, kidnaps_per_min=_SURELY, evidence_share=1.0),
     graph=Graph(cauchy=1e6, engine="chain"),
     calibration=Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0),
-    sensor=Sensor(0.0, 0.0),
+    sensor=Sensor(0.0, 0.0, 0.0, 0.0),
     correlation=ErrorCorrelation(0.0, 0.0, 0.0, 0.0, 0.0),
     detection=Detection(clutter=_SURELY, nothing_right=_SURELY),
     scan_noise=UNLEARNED,
+    scan_distortion=UNDISTORTED,
 )
 """Everything about the model here."""
 
@@ -53,6 +55,7 @@ SETTINGS: Mapping[str, Config] = MappingProxyType(
         "as known": KNOWN,
         "errors that repeat": replace(KNOWN, correlation=_SHIPPED.correlation),
         "noise to be learned": replace(KNOWN, scan_noise=_SHIPPED.scan_noise),
+        "ranges to be calibrated": replace(KNOWN, scan_distortion=_SHIPPED.scan_distortion),
         "outliers": replace(KNOWN, robust=_SHIPPED.robust, graph=_SHIPPED.graph, detection=_SHIPPED.detection),
         "kidnappings": replace(KNOWN, mixture=_SHIPPED.mixture),
         "odometry to be calibrated": replace(KNOWN, calibration=_SHIPPED.calibration),

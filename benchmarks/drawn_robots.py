@@ -24,12 +24,12 @@ _LANDMARKS, _APART_M = 14, 1.2
 _FARTHEST_M, _WIDEST_RAD = 6.0, np.radians(50.0)
 _STATED = np.array([0.05, 0.017])  # of a range, and rad
 _STAND, _SIDEWAYS, _SIDEWAYS_MPS, _TURN_RADPS = 0.1, 0.3, 0.2, 1.0
-_LEAST, _MOST = 0.25, 9.0  # shares of stated variances that fieldloc.scan_noise_learning looks for
+_LEAST, _MOST = 0.1, 9.0  # shares of stated variances that fieldloc.scan_noise_learning looks for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnRobot:
-    """calibration: (6,) of the odometry, sensor (2,) of the eyes, as in the settings. late_s: it does so much later
+    """calibration: (6,) of the odometry, sensor (4,) of the eyes, as in the settings. late_s: it does so much later
     what the odometry says. motion_scales: (2,) of variances along the way and of turns. own, shared: (2,) variances of
     a landmark's own error in range and bearing, and of what a scan shares, as shares of the stated ones."""
 
@@ -141,7 +141,7 @@ def _scans(
     random: np.random.Generator,
 ) -> list[LandmarkScan]:
     """Errors in stated standard deviations are first-order processes; robot.own and .shared are their variances."""
-    bearing_offset_rad, delay_s = robot.sensor
+    *place, bearing_offset_rad, delay_s = robot.sensor
     taken_ns = stamps_ns[_SCAN_STEPS::_SCAN_STEPS]
     correlation = np.array([config.correlation.range_s, config.correlation.bearing_s])
     with np.errstate(divide="ignore"):
@@ -152,7 +152,8 @@ def _scans(
     for stamp_ns, pose in zip(taken_ns.tolist(), poses[_SCAN_STEPS::_SCAN_STEPS], strict=True):
         own = left * own + gain * random.standard_normal(own.shape)
         shared = left * shared + gain * random.standard_normal(2)
-        away = se2.apply(se2.inverse(pose), field.positions)
+        eyes = se2.compose(pose, np.array([*place, 0.0]))
+        away = se2.apply(se2.inverse(eyes), field.positions)
         true = np.column_stack([np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0])])
         sigmas = np.column_stack([_STATED[0] * true[:, 0], np.full(len(true), _STATED[1])])
         seen = true + sigmas * (own * np.sqrt(robot.own) + shared * np.sqrt(robot.shared))

@@ -134,6 +134,10 @@ class ChainRecorder:
         """A mixture at a stamp that `advance` has reached."""
         self._mixtures.append((self._node_at(stamp_ns, None), mixture))
 
+    def relearn(self, relearned: Callable[[MixtureFactor], MixtureFactor]) -> None:
+        """Change all mixtures."""
+        self._mixtures = [(node, relearned(mixture)) for node, mixture in self._mixtures]
+
     def move(self, motions: Sequence[Increment]) -> None:
         """Between all nodes so far, in place of what was added up."""
         self._motions = list(motions)

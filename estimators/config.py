@@ -9,6 +9,7 @@ from fieldloc.detection import Detection
 from fieldloc.mount_correction import MountCorrection
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
+from fieldloc.scan_distortion import DistortionPrior
 from fieldloc.scan_noise import NoisePrior
 
 
@@ -156,18 +157,22 @@ class Sensor:
     It is estimated along with the poses; a sigma of 0 takes it as known.
     """
 
+    forward_sigma_m: float = 0.03
+    left_sigma_m: float = 0.03
     bearing_offset_sigma_rad: float = 0.01
     delay_sigma_s: float = 0.05
+    forward_m: float = 0.0
+    left_m: float = 0.0
     bearing_offset_rad: float = 0.0
     delay_s: float = 0.0
 
     def means(self) -> FloatArray:
-        """(2,) in the order of SensorCalibration."""
-        return np.array(astuple(self)[2:])
+        """(4,) in the order of SensorCalibration."""
+        return np.array(astuple(self)[4:])
 
     def sigmas(self) -> FloatArray:
-        """(2,) in the order of SensorCalibration."""
-        return np.array(astuple(self)[:2])
+        """(4,) in the order of SensorCalibration."""
+        return np.array(astuple(self)[:4])
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,4 +205,5 @@ class Config:
     correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     detection: Detection = field(default_factory=Detection)
     scan_noise: NoisePrior = field(default_factory=NoisePrior)
+    scan_distortion: DistortionPrior = field(default_factory=DistortionPrior)
     compass: Compass = field(default_factory=Compass)

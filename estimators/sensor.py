@@ -1,4 +1,4 @@
-"""What the robot's eyes get wrong in the same way all the time: how they are turned, how late they are."""
+"""What a robot's eyes get wrong in the same way all the time: where they are, how they are turned, how late."""
 
 from typing import NamedTuple
 
@@ -9,11 +9,14 @@ from fieldloc.pose import FloatArray
 
 
 class SensorCalibration(NamedTuple):
-    """Bearings are larger by `bearing_offset_rad`; what is stamped now was seen `delay_s` before. All zero is perfect.
+    """The eyes are `forward_m` and `left_m` beside where they are said to be, in the robot's frame; bearings are larger
+    by `bearing_offset_rad`; what is stamped now was seen `delay_s` before. All zero is perfect.
 
     So what is seen is about the pose `seen_from`, not about that of the robot.
     """
 
+    forward_m: float = 0.0
+    left_m: float = 0.0
     bearing_offset_rad: float = 0.0
     delay_s: float = 0.0
 
@@ -22,20 +25,21 @@ SENSOR = len(SensorCalibration._fields)
 
 
 def lever(velocity: FloatArray) -> FloatArray:
-    """(..., 3, 2): change of the robot-frame tangent of the pose that was seen from with the calibration.
+    """(..., 3, 4): change of the robot-frame tangent of the pose that was seen from with the calibration.
 
     velocity: (..., 3) of the robot at the stamp, robot frame, m/s and rad/s.
     """
     out = np.zeros((*velocity.shape, SENSOR))
-    out[..., 2, 0] = -1.0
-    out[..., 1] = -velocity
+    out[..., 0, 0] = out[..., 1, 1] = 1.0
+    out[..., 2, 2] = -1.0
+    out[..., 3] = -velocity
     return out
 
 
 def seen_from(poses: FloatArray, sensor: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Poses (..., 3) that something was seen from by robots at `poses` (..., 3) with a calibration `sensor` (2,)."""
+    """Poses (..., 3) that something was seen from by robots at `poses` (..., 3) with a calibration `sensor` (4,)."""
     return se2.retract(poses, lever(velocity) @ sensor)
 
 
 LEVER_BY_VELOCITY = lever(np.eye(3)) - lever(np.zeros(3))
-"""(3, 3, 2): change of the lever with each number of the velocity, in which it is linear."""
+"""(3, 3, 4): change of the lever with each number of the velocity, in which it is linear."""

@@ -1,6 +1,6 @@
 """The batch smoother: a filter goes ahead to find the start and the way, then one solution for the whole past."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -120,6 +120,10 @@ class Smoother:
         if self._ambiguity is None or self.resolution is None:
             return ()
         return self.resolution.ambiguities(self._stamps_ns)
+
+    def relearn(self, relearned: Callable[[MixtureFactor], MixtureFactor]) -> None:
+        """Take all mixtures as they are by what has been learned of the sensors since."""
+        self._recorder.relearn(relearned)
 
     def trajectory(self) -> tuple[Estimate, ...]:
         """An estimate per node of the chain; none while no start has been found."""

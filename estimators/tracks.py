@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from estimators.chain import Recorded, levers
 from estimators.config import Config
 from estimators.motion import Increment
+from estimators.sensor import SENSOR
 from estimators.solution import global_means, global_sigmas
 from estimators.ways import Ways
 from fieldloc import pose as se2
@@ -24,8 +25,8 @@ from fieldloc.pose import FloatArray
 NO_HINT = -2
 _OFFSET = 3
 _CALIBRATION = slice(4, 10)
-_SENSOR = slice(10, 12)
-_STATES = 12
+_SENSOR = slice(10, 10 + SENSOR)
+_STATES = _SENSOR.stop
 _LEARNT_FROM = 60  # sights after a seed
 _ROUGHLY = np.diag([0.3, 0.3, 0.15]) ** 2
 _HINT_WORTH = 10.0  # a hint is followed while it is at most so much (log) less likely than the best
@@ -255,7 +256,7 @@ class _Sweep:
         self.covariances[tracks[new], index] = self.covariance[tracks[new], :3, :3]
 
     def _update(self, tracks: IntArray, near: Expansion, rows: IntArray, across: FloatArray, seen: FloatArray) -> None:
-        """rows: of the solutions that the tracks take. across: (h, 12, 3) covariance of states and what is seen."""
+        """rows: of the solutions that the tracks take. across: (h, 14, 3) covariance of states and what is seen."""
         whole = self.covariance[tracks]
         gain = np.swapaxes(np.linalg.solve(seen, np.swapaxes(across, -1, -2)), -1, -2)
         step = (gain @ near.step[rows][:, :, None])[..., 0]

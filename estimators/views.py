@@ -28,11 +28,13 @@ OFFSET = SIZE - 1  # of the compass
 """Places in the tangent: that of the pose, the odometry's calibration, the eyes', the robot's delay, the compass'
 offset."""
 _HELD = np.eye(3, SIZE)
+_EYES = slice(CALIBRATION, CALIBRATION + SENSOR)
+_STILL = lever(np.zeros(3))
 _NONE = np.zeros((3, 3))
 
 
 def prior(config: Config) -> tuple[FloatArray, FloatArray]:
-    """Mean (10,) and covariance (10, 10) of what is kept beside the pose."""
+    """Mean (12,) and covariance (12, 12) of what is kept beside the pose."""
     mean = np.concatenate([config.calibration.means(), config.sensor.means(), [0.0, 0.0]])
     eyes, compass = config.sensor.sigmas(), config.compass.offset_sigma_rad
     return mean, np.diag(np.concatenate([config.calibration.sigmas(), eyes, [0.0, compass]]) ** 2)
@@ -40,8 +42,8 @@ def prior(config: Config) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """by_state: (3, 13) the change of the tangent of a pose that something is about, with all that is kept. twist: (3,)
-    of the way there for who keeps `at` (10,). chance: (3, 3) covariance of what is left open of it."""
+    """by_state: (3, 15) the change of the tangent of a pose that something is about, with all that is kept. twist: (3,)
+    of the way there for who keeps `at` (12,). chance: (3, 3) covariance of what is left open of it."""
 
     by_state: FloatArray
     twist: FloatArray
@@ -49,7 +51,7 @@ class View:
     chance: FloatArray
 
     def of(self, poses: FloatArray, extra: FloatArray) -> FloatArray:
-        """(..., 3) of poses (..., 3) that are kept, with (..., 10) beside them."""
+        """(..., 3) of poses (..., 3) that are kept, with (..., 12) beside them."""
         return se2.retract(poses, self.beside(extra))
 
     def back(self, poses: FloatArray, extra: FloatArray) -> FloatArray:
@@ -57,11 +59,11 @@ class View:
         return se2.retract(poses, -self.beside(extra))
 
     def covariance(self, of_state: FloatArray) -> FloatArray:
-        """(..., 3, 3) of covariances (..., 13, 13)."""
+        """(..., 3, 3) of covariances (..., 15, 15)."""
         return propagate(self.by_state, of_state) + self.chance
 
     def of_state(self, covariance: FloatArray, known: FloatArray) -> FloatArray:
-        """(..., 13, 13) of covariances (..., 3, 3) of poses that something is about, beside (..., 10, 10) known of the
+        """(..., 15, 15) of covariances (..., 3, 3) of poses that something is about, beside (..., 12, 12) known of the
         rest: the poses that are kept differ from them by what is not known of the rest."""
         aside = self.by_state[:, 3:]
         out = np.zeros((*covariance.shape[:-2], SIZE, SIZE))
@@ -98,7 +100,7 @@ class Views:
         return not self._late
 
     def now(self, extra: FloatArray) -> View:
-        """Of the robot itself. extra: (10,) as thought to be."""
+        """Of the robot itself. extra: (12,) as thought to be."""
         by_state, twist = _HELD.copy(), np.zeros(3)
         if self._late:
             late_s = float(extra[LATE - 3])
@@ -107,14 +109,14 @@ class Views:
         return View(by_state, twist, extra, _NONE)
 
     def sight(self, extra: FloatArray, known: FloatArray) -> View:
-        """Of what the eyes see. known: (10, 10) covariance of extra."""
+        """Of what the eyes see. known: (12, 12) covariance of extra."""
         by_state = _HELD.copy()
         both = slice(LATE - 4, LATE - 2)
         late_s, sigma_s = float(extra[both].sum()), math.sqrt(max(known[both, both].sum(), 0.0))
         by_state[:, EYES] = lever(self._velocity(late_s, extra))
         by_state[:, LATE] = by_state[:, LATE - 1]
         twist = -late_s * self._mean_velocity(late_s, extra)
-        twist[2] -= extra[LATE - 5]
+        twist += _STILL @ extra[_EYES]
         # how much of a sigma's way is not along a straight line
         early, later = (self._held.before(max(late_s + by * sigma_s, 0.0)) for by in (-2.0, 2.0))
         bent = 0.5 * sigma_s * (later - early)

@@ -21,6 +21,7 @@ from fieldloc.regions import anywhere
 from fieldloc.repeated_mixture import RepeatedMixture
 from fieldloc.repetition import ErrorCorrelation, Repetition, inflation
 from fieldloc.scan_coverage import Misses, Sightings
+from fieldloc.scan_distortion import KNOWN, DistortionPrior
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
 from fieldloc.scan_noise import UNLEARNED, NoisePrior
 from fieldloc.scan_noises import LearnedNoise, ScanNoises
@@ -47,6 +48,7 @@ class MixtureBuilder:
         detection: Detection = _DEFAULT_DETECTION,
         mount: MountCorrection = _AS_LOGGED,
         noise: NoisePrior = UNLEARNED,
+        distortion: DistortionPrior = KNOWN,
     ) -> None:
         self._field = field
         self._camera = camera
@@ -55,7 +57,7 @@ class MixtureBuilder:
         self._mount = mount
         self._area_m2 = float(np.exp(anywhere(field).log_volume)) / (2 * np.pi)
         self._repetition = Repetition()
-        self._noises = ScanNoises(noise, correlation)
+        self._noises = ScanNoises(noise, distortion, correlation)
         self._sightings: dict[bytes, Sightings] = {}  # by where the sensor is mounted
         self._last_scan_ns: int | None = None
         self._wrong = WrongShare()
@@ -101,6 +103,8 @@ class MixtureBuilder:
 
     def remember(self, mixture: MixtureFactor, pose: FloatArray | None) -> None:
         """What was seen, by where the robot (3,) is thought to be now: seen again soon, it is little news."""
+        if pose is not None and not np.isfinite(pose).all():
+            pose = None
         match mixture:
             case ScanMixture():
                 if pose is not None:
@@ -115,13 +119,21 @@ class MixtureBuilder:
             case _:
                 self._repetition.see(_ANY_IMAGE, mixture.stamp_ns)
 
+    def relearned(self, mixture: MixtureFactor) -> MixtureFactor:
+        """One that was built here, with what has been learned of its sensor since."""
+        if not isinstance(mixture, ScanMixture):
+            return mixture
+        return mixture.relearned(*self._noises.of(mixture.scan))
+
     def _scan(self, scan: LandmarkScan) -> ScanMixture | None:
         wider = self._wider_landmarks(scan.stamp_ns)
-        noise, wider_shared = self._noises.of(scan)
+        noise, distortion = self._noises.of(scan)
+        again = self._noises.wider_shared(scan)
         sightings = self._of_sensor(scan)
         sector = None if sightings is None else sightings.sector
         detection = replace(self._detection, nothing_right=self._wrong.share(self._detection.nothing_right))
-        mixture = scan_mixture(scan, self._field, detection, wider, self._misses(scan), noise, wider_shared, sector)
+        misses = self._misses(scan)
+        mixture = scan_mixture(scan, self._field, detection, wider, misses, noise, again, sector, distortion)
         if mixture is not None and sightings is not None:
             sightings.see(mixture.scan.range_bearing)
         self._last_scan_ns = scan.stamp_ns

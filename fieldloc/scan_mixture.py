@@ -12,7 +12,7 @@ has that of a robot that may be anywhere.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -29,6 +29,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import likeliest
 from fieldloc.scan_coverage import Misses
+from fieldloc.scan_distortion import PERFECT, ScanDistortion
 from fieldloc.scan_expansion import expand
 from fieldloc.scan_factors import landmark_factors
 from fieldloc.scan_fits import CHI2_LIMITS, Fits, whole_poses
@@ -48,7 +49,8 @@ _MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFi
 @dataclass(frozen=True, eq=False)
 class ScanMixture:
     """scan: its landmarks that can be of the map. log_right: prior of a scan that is right, times the density of all
-    landmarks as clutter. misses: None where it is not known what the sensor covers."""
+    landmarks as clutter. misses: None where it is not known what the sensor covers. measured: (n, 2) ranges and
+    bearings as the log has them; `scan` has them without their distortion."""
 
     stamp_ns: int
     scan: LandmarkScan
@@ -57,6 +59,7 @@ class ScanMixture:
     log_right: float
     log_outlier: float
     symmetric: bool
+    measured: FloatArray
     misses: Misses | None = None
     by_compass: bool = False
     by_sight: bool = True
@@ -91,6 +94,19 @@ class ScanMixture:
         """(3, 3) from a robot's tangent to its sensor's; None where they are the same."""
         mount = self.scan.robot_from_sensor
         return np.asarray(se2.adjoint(se2.inverse(mount))) if mount.any() else None
+
+    def relearned(self, noise: ScanNoise, distortion: ScanDistortion) -> "ScanMixture":
+        """The same with what has been learned of the sensor since; its solutions keep their ids."""
+        seen = distortion.removed(self.measured)
+        own, shared = noise.of(self.scan.covariance)
+        out = replace(
+            self,
+            scan=replace(self.scan, range_bearing=seen),
+            model=replace(self.model, range_bearing=seen, covariance=own, shared=shared),
+        )
+        out._ids.update(self._ids)
+        out._matches.extend(self._matches)
+        return out
 
     @cached_property
     def _from_sensor(self) -> FloatArray:
@@ -224,6 +240,7 @@ def scan_mixture(
     noise: ScanNoise = AS_STATED,
     wider_shared: FloatArray | None = None,
     sector: Sector | None = None,
+    distortion: ScanDistortion = PERFECT,
 ) -> ScanMixture | None:
     """wider: (m, 2) by how much variances of range and bearing are to be widened, per landmark of the map;
     wider_shared: (2,) the same of what all share, None for not at all. misses, sector: None where it is not known what
@@ -247,6 +264,9 @@ def scan_mixture(
     covariance = used.covariance
     if not ((determinant(upper(covariance)) > 0.0) & (covariance[:, 0, 0] > 0.0)).all():
         raise ValueError("covariance of a range and bearing is not positive definite")
+    measured = used.range_bearing
+    if distortion is not PERFECT:
+        used = replace(used, range_bearing=distortion.removed(measured))
     own, shared = noise.of(covariance)
     may = (np.arange(m) == index[:, None]) | (index[:, None] == _ANY)
     r = used.range_bearing[:, 0]
@@ -291,6 +311,7 @@ def scan_mixture(
             + (0.0 if misses is None else misses.log_anywhere)
         ),
         symmetric=symmetric,
+        measured=measured,
         misses=misses,
     )
 

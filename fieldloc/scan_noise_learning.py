@@ -3,7 +3,7 @@
 
 The errors of a scan whose landmarks are known have the covariance
 
-    S = own_range V1 + own_bearing V2 + shared_range V3 + map's + J P J'
+    S = own_range V1 + own_bearing V2 + shared_range V3 + other + J P J'
 
 with the stated variances in V. The slope of the log-likelihood by the logarithm of a share is
 share / 2 (e' S^-1 V S^-1 e - tr S^-1 V), its information share^2 / 2 tr(S^-1 V S^-1 V): what cannot be seen keeps the
@@ -14,15 +14,15 @@ stay alike are in what an estimator believes already, and an innovation would sh
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldloc.pose import FloatArray
 from fieldloc.scan_noise import NoisePrior, ScanNoise, shared_directions
 
 _NOTHING = 1e-3  # a share that is as good as none
-_LEAST = (
-    0.25  # neighbours on the map have errors alike beyond what the whole scan shares: who errs by less than half of
-)
-# what is stated is not believed
+# neighbours on the map have errors alike beyond what the whole scan shares: who errs by less than a third of what is
+# stated is not believed
+_LEAST = 0.1
 _LOWEST = np.log([_LEAST, _LEAST, _NOTHING])
 _HIGHEST = np.log(9.0)
 _LONGEST = 0.5  # step in a logarithm
@@ -32,13 +32,13 @@ _ANYWHERE = np.array([10.0, 10.0, 1.0]) ** 2  # m^2, m^2, rad^2
 
 
 class ScanErrors(NamedTuple):
-    """error: (n, 2) of range and bearing of landmarks that are known; jacobian (n, 2, 3) by the sensor's pose. stated,
-    survey: (n, 2, 2) covariances of the error, the map's part apart."""
+    """error: (n, 2) of range and bearing of landmarks that are known; jacobian (n, 2, 3) by the sensor's pose. stated
+    (n, 2, 2) covariances of the error; other (2n, 2n) that of other reasons: the map, an unknown distortion."""
 
     error: FloatArray
     jacobian: FloatArray
     stated: FloatArray
-    survey: FloatArray
+    other: FloatArray
 
 
 class NoiseLearner:
@@ -76,19 +76,19 @@ class NoiseLearner:
         root = self._sigmas
         return np.asarray(root * np.sqrt(np.diagonal(np.linalg.inv(np.eye(3) + root[:, None] * self._learned * root))))
 
+    def precision(self, met: ScanErrors, unknown: FloatArray) -> FloatArray:
+        """(2n, 2n) inverse of the errors' covariance, as thought now and from anywhere, without what is `unknown`
+        (2n, 2n) of them; what is far off for all that counts less."""
+        whole = self._whole(met, _parts(met.stated))
+        return np.asarray(_trust(met.error, np.linalg.inv(whole + unknown)) * np.linalg.inv(whole))
+
     def learn(self, met: ScanErrors, news: float) -> None:
         """news: by how much it counts, less if it is much the same as before."""
-        size = met.error.size
         parts = _parts(met.stated)
         shares = self._shares
-        flat = met.jacobian.reshape(size, 3)
-        whole = np.tensordot(shares, parts, 1) + _blocks(met.survey) + (flat * _ANYWHERE) @ flat.T
-        precision = np.linalg.inv(whole)
+        precision = np.linalg.inv(self._whole(met, parts))
         weighted = precision @ met.error.ravel()
-        # one that is far off for all that is known is hardly of that landmark
-        free = size - 3
-        edge = free + _FAR_OFF * (2.0 * free) ** 0.5
-        trust = min(1.0, edge / max(float(met.error.ravel() @ weighted), 1e-300))
+        trust = _trust(met.error, precision)
         by_part = precision @ parts
         slope = 0.5 * shares * (trust * (weighted @ parts @ weighted) - np.trace(by_part, axis1=-2, axis2=-1))
         information = 0.5 * np.outer(shares, shares) * np.einsum("aij,bji->ab", by_part, by_part)
@@ -101,6 +101,18 @@ class NoiseLearner:
         self._log_shares = np.where(root > 0.0, np.clip(self._log_shares + step, _LOWEST, _HIGHEST), self._log_shares)
         self.count += 1
 
+    def _whole(self, met: ScanErrors, parts: FloatArray) -> FloatArray:
+        """(2n, 2n)."""
+        flat = met.jacobian.reshape(met.error.size, 3)
+        return np.asarray(np.tensordot(self._shares, parts, 1) + met.other + (flat * _ANYWHERE) @ flat.T)
+
+
+def _trust(error: FloatArray, precision: NDArray[np.floating]) -> float:
+    """One that is far off for all that is known is hardly of that landmark."""
+    free = error.size - 3
+    edge = float(free + _FAR_OFF * (2.0 * free) ** 0.5)
+    return min(1.0, edge / max(float(error.ravel() @ precision @ error.ravel()), 1e-300))
+
 
 def _parts(stated: FloatArray) -> FloatArray:
     """(3, 2n, 2n)."""
@@ -111,11 +123,3 @@ def _parts(stated: FloatArray) -> FloatArray:
     longer = shared_directions(stated)[:, 0]
     out[2, ::2, ::2] = np.outer(longer, longer)
     return out
-
-
-def _blocks(covariances: FloatArray) -> FloatArray:
-    """(2n, 2n) of (n, 2, 2)."""
-    n = len(covariances)
-    out = np.zeros((n, 2, n, 2))
-    out[np.arange(n), :, np.arange(n)] = covariances
-    return out.reshape(2 * n, 2 * n)

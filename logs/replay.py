@@ -154,7 +154,13 @@ class Run:
         self._told = start if isinstance(start, np.ndarray) else None
         self._region = _region(start, recording.field)
         self._builder = MixtureBuilder(
-            recording.field, recording.camera, config.correlation, config.detection, config.mount, config.scan_noise
+            recording.field,
+            recording.camera,
+            config.correlation,
+            config.detection,
+            config.mount,
+            config.scan_noise,
+            config.scan_distortion,
         )
         self._unusable: list[str] = []
 
@@ -214,6 +220,7 @@ class Run:
         if not isinstance(self.estimator, Smoother):
             return None
         with self._failing(None):
+            self.estimator.relearn(self._builder.relearned)
             estimates = self.estimator.trajectory()
             for now in estimates:
                 _check(now)

@@ -14,7 +14,7 @@ from fieldloc import pose as se2
 from fieldloc.measurements import LandmarkScan, Odometry
 
 CONFIG = Config()
-PERFECT = DrawnRobot(np.zeros(6), np.zeros(2), 0.0, np.full(2, 1e-9), np.zeros(2), np.zeros(2))
+PERFECT = DrawnRobot(np.zeros(6), np.zeros(4), 0.0, np.full(2, 1e-9), np.zeros(2), np.zeros(2))
 
 
 def rows(text: str) -> dict[str, list[str]]:
@@ -49,7 +49,7 @@ def test_a_perfect_robot_sees_what_is_there_from_where_its_odometry_leads() -> N
 
 
 def test_eyes_that_are_late_and_turned_show_what_was_there_before() -> None:
-    eyes = replace(PERFECT, sensor=np.array([0.1, 0.2]))
+    eyes = replace(PERFECT, sensor=np.array([0.0, 0.0, 0.1, 0.2]))
     straight, askew = (drive(one, CONFIG, 5.0, np.random.default_rng(2)) for one in (PERFECT, eyes))
     for one, other in zip(
         *([m for m in log.recording.measurements if isinstance(m, LandmarkScan)] for log in (straight, askew)),

@@ -33,7 +33,7 @@ from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, 
 from fieldloc.pose import FloatArray
 
 Make = Callable[[Linearised, float], Arithmetic]
-SEEING = replace(Config(graph=GAUSSIAN), sensor=Sensor(0.05, 0.1))
+SEEING = replace(Config(graph=GAUSSIAN), sensor=Sensor(0.03, 0.03, 0.05, 0.1))
 
 
 def in_numba(linearised: Linearised, cauchy: float) -> Arithmetic:
@@ -52,7 +52,7 @@ def as_seen(chain: Chain, offset_rad: float = 0.0, delay_s: float = 0.0) -> Chai
     factors: list[tuple[int, Factor]] = []
     levers = chain.levers(np.zeros(6))
     for node, factor in chain.factors:
-        off = se2.exp(levers[node] @ [offset_rad, delay_s])
+        off = se2.exp(levers[node] @ [0.0, 0.0, offset_rad, delay_s])
         match factor:
             case LandmarkFactor():
                 moved = replace(factor, seen=se2.apply(se2.inverse(off), factor.seen))
@@ -115,8 +115,8 @@ def drawn(seed: int) -> Chain:
 CONFIGS = {
     "shipped": Config(),
     "gaussian": SEEING,
-    "plain": replace(PLAIN, sensor=Sensor(0.0, 0.0)),
-    "some": Config(calibration=Calibration(0.1, 0.0, 0.1, 0.0, 0.0, 0.0), sensor=Sensor(0.0, 0.05)),
+    "plain": replace(PLAIN, sensor=Sensor(0.0, 0.0, 0.0, 0.0)),
+    "some": Config(calibration=Calibration(0.1, 0.0, 0.1, 0.0, 0.0, 0.0), sensor=Sensor(0.0, 0.03, 0.0, 0.05)),
     "no offset": Config(compass=Compass(offset_sigma_rad=0.0)),
 }
 

@@ -33,8 +33,8 @@ EVERY = [pytest.param(make, id=make.__name__) for make in (Ekf, MixtureFilter, P
 
 @dataclass(frozen=True)
 class Robot:
-    """eyes: bearing offset, delay. late_s: how long it takes to do what its odometry says. noise: of its motion.
-    stated: (3, 3) the covariance that its odometry states. seen_every: steps."""
+    """eyes: forward, left, bearing offset, delay. late_s: how long it takes to do what its odometry says. noise: of its
+    motion. stated: (3, 3) the covariance that its odometry states. seen_every: steps."""
 
     calibration: FloatArray
     eyes: FloatArray
@@ -56,9 +56,9 @@ class Robot:
         for step in range(len(done)):
             if step % 5 == 0:
                 online.predict(Odometry(ns(at_s[step]), said[int(at_s[step] + 1e-9)], self.stated))
-            seen = round(step - self.eyes[1] * STEPS_PER_S)
+            seen = round(step - self.eyes[3] * STEPS_PER_S)
             if step % self.seen_every == 7 and 0 <= seen < len(truth):
-                eyes = se2.retract(truth[seen], np.array([0.0, 0.0, -self.eyes[0]]))
+                eyes = se2.retract(truth[seen], np.array([*self.eyes[:2], -self.eyes[2]]))
                 _look(online, builder.build(scan(ns(at_s[step]), eyes, random)))
         online.advance(ns(at_s[-1]))
         now = online.estimate()
@@ -81,21 +81,21 @@ def _look(online: Online, mixture: MixtureFactor | None) -> None:
 def drawn(random: np.random.Generator, config: Config = KNOWN) -> Robot:
     """A robot as the priors have it: but none does what it was told to before it was told to."""
     late_s = abs(random.normal(0.0, config.calibration.odometry_delay_sigma_s))
-    eyes = config.sensor.sigmas() * random.standard_normal(2)
-    eyes[1], late_s = (round(delay_s * STEPS_PER_S) / STEPS_PER_S for delay_s in (eyes[1], late_s))
+    eyes = config.sensor.sigmas() * random.standard_normal(4)
+    eyes[3], late_s = (round(delay_s * STEPS_PER_S) / STEPS_PER_S for delay_s in (eyes[3], late_s))
     return Robot(config.calibration.sigmas() * random.standard_normal(6), eyes, late_s)
 
 
 def learned(make: Make, seeds: range, duration_s: int) -> tuple[FloatArray, FloatArray, list[float]]:
-    """(s, 10) errors over what the filter says of them: calibration, eyes, delay of the robot, both delays together;
-    (10,) sigmas of the last; NEES of each."""
-    off, errors, sigmas = [], [], np.zeros(10)
+    """(s, 12) errors over what the filter says of them: calibration, eyes, delay of the robot, both delays together;
+    (12,) sigmas of the last; NEES of each."""
+    off, errors, sigmas = [], [], np.zeros(12)
     for seed in seeds:
         random = np.random.default_rng(seed)
         robot, online = drawn(random), make(KNOWN)
         errors.append(robot.drive(online, duration_s, random))
         mean, covariance = online.learned
-        both = np.eye(9, len(mean))
+        both = np.eye(11, len(mean))
         both = np.vstack([both, both[LATE - 4] + both[LATE - 3]])
         sigmas = np.sqrt(np.diag(both @ covariance @ both.T))
         truth = np.concatenate([robot.calibration, robot.eyes, [robot.late_s]])
@@ -107,8 +107,8 @@ def learned(make: Make, seeds: range, duration_s: int) -> tuple[FloatArray, Floa
 def test_what_differs_between_robots_is_learned(make: Make) -> None:
     off, sigmas, errors = learned(make, range(4), 25)
     assert np.abs(off).max() < 4.5
-    assert np.mean(np.abs(off) < 2.0) > 0.8  # of 40, 95 % are expected
-    scale, turn_scale, bearing, both = sigmas[0], sigmas[1], sigmas[CALIBRATION], sigmas[-1]
+    assert np.mean(np.abs(off) < 2.0) > 0.8  # of 48, 95 % are expected
+    scale, turn_scale, bearing, both = sigmas[0], sigmas[1], sigmas[CALIBRATION + 2], sigmas[-1]
     assert scale < 0.5 * KNOWN.calibration.scale_sigma
     assert turn_scale < 0.3 * KNOWN.calibration.turn_scale_sigma
     assert bearing < KNOWN.sensor.bearing_offset_sigma_rad
@@ -131,21 +131,21 @@ def test_what_is_learned_is_as_sure_as_it_says(make: Make) -> None:
 @pytest.mark.parametrize("make", EVERY)
 def test_what_is_known_beforehand_stays_as_it_is(make: Make) -> None:
     random = np.random.default_rng(3)
-    robot = Robot(np.zeros(6), np.array([0.03, 0.08]))
+    robot = Robot(np.zeros(6), np.array([0.0, 0.0, 0.03, 0.08]))
     known = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0)
-    sensor = Sensor(0.0, 0.0, bearing_offset_rad=0.03, delay_s=0.08)
+    sensor = Sensor(0.0, 0.0, 0.0, 0.0, bearing_offset_rad=0.03, delay_s=0.08)
     online = make(Config(motion=KNOWN_NOISE, calibration=known, sensor=sensor))
     robot.drive(online, 10, random)
     mean, covariance = online.learned
-    np.testing.assert_allclose(mean[:9], [0.0] * 6 + [0.03, 0.08, 0.0], atol=1e-12)
-    assert not covariance[:9, :9].any()
+    np.testing.assert_allclose(mean[:11], [0.0] * 8 + [0.03, 0.08, 0.0], atol=1e-12)
+    assert not covariance[:11, :11].any()
 
 
 @pytest.mark.parametrize("make", EVERY)
 def test_who_states_a_covariance_is_not_late(make: Make) -> None:
     stated = np.diag([0.05, 0.05, 0.05]) ** 2
     online = make(KNOWN)
-    Robot(np.zeros(6), np.zeros(2), stated=stated).drive(online, 10, np.random.default_rng(5))
+    Robot(np.zeros(6), np.zeros(4), stated=stated).drive(online, 10, np.random.default_rng(5))
     mean, covariance = online.learned
     assert mean[LATE - 3] == 0.0
     assert covariance[LATE - 3, LATE - 3] == 0.0
@@ -153,7 +153,7 @@ def test_who_states_a_covariance_is_not_late(make: Make) -> None:
 
 @pytest.mark.parametrize("make", EVERY)
 def test_late_eyes_saw_from_where_the_robot_was(make: Make) -> None:
-    config = Config(motion=KNOWN_NOISE, sensor=Sensor(0.0, 0.0, bearing_offset_rad=0.1, delay_s=0.4))
+    config = Config(motion=KNOWN_NOISE, sensor=Sensor(0.0, 0.0, 0.0, 0.0, bearing_offset_rad=0.1, delay_s=0.4))
     online = make(replace(config, calibration=Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
     online.start(Estimate(0, START, START_COVARIANCE))
     for tick in range(10):  # the first half of the time the other way

@@ -134,14 +134,14 @@ def test_ranges_are_as_uncertain_as_stated_where_neighbours_agree_and_more_is_no
     )
     for _ in range(100):
         error = 0.5 * sigmas * (random.standard_normal((2, 2)) + 3**0.5 * random.standard_normal(2))
-        learner.learn(ScanErrors(error, jacobian, np.tile(np.diag(sigmas**2), (2, 1, 1)), np.zeros((2, 2, 2))), 1.0)
+        learner.learn(ScanErrors(error, jacobian, np.tile(np.diag(sigmas**2), (2, 1, 1)), np.zeros((4, 4))), 1.0)
     assert learner.noise.own_range < 0.5
     assert 0.9 < learner.noise.own_range + learner.noise.shared_range < 1.3
 
 
 def test_nobody_is_believed_to_be_far_better_than_he_says() -> None:
     one = learned(ScanNoise(0.01, 0.01, 0.0, 0.0), NoisePrior())
-    assert one.noise.own_range == one.noise.own_bearing == pytest.approx(0.25)
+    assert one.noise.own_range == one.noise.own_bearing == pytest.approx(0.1)
 
 
 def test_who_takes_the_log_at_its_word_learns_nothing() -> None:

@@ -21,7 +21,7 @@ from fieldloc.covariance import central_difference
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.pose import FloatArray
 
-PRIOR = Sensor(0.05, 0.1)
+PRIOR = Sensor(0.0, 0.0, 0.05, 0.1)
 
 
 def seen(
@@ -48,7 +48,7 @@ def seen(
 
 def test_rows_are_the_derivatives_of_the_errors() -> None:
     """By the poses and by what is the same over the chain, of each kind of factor, seen and not."""
-    config = Config(graph=GAUSSIAN, sensor=PRIOR)
+    config = Config(graph=GAUSSIAN, sensor=Sensor(0.03, 0.03, 0.05, 0.1))
     chain, _ = seen(6, 0, 0.1, 0.05)
     both: list[tuple[int, Factor]] = [
         (3, PoseFactor(0, np.array([0.3, 0.2, 0.4]), P3)),
@@ -58,25 +58,25 @@ def test_rows_are_the_derivatives_of_the_errors() -> None:
     chain = replace(chain, factors=(*chain.factors, *both))
     rows = Linearised(chain, config)
     poses = se2.retract(chain.guess, 0.1 * np.random.default_rng(1).standard_normal(chain.guess.shape))
-    common = np.array([0.1, -0.1, 0.05, 0.02, 0.01, 0.01, 0.2, 0.04])
+    common = np.array([0.1, -0.1, 0.05, 0.02, 0.01, 0.01, 0.05, -0.04, 0.2, 0.04])
 
     def errors(delta: FloatArray, of: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:
         moved = common.copy()
-        moved[6:] += delta[-2:]  # levers stay: calibrations of the odometry change them a little
-        return of(se2.retract(poses, delta[:-2].reshape(-1, 3)), moved)
+        moved[6:] += delta[-4:]  # levers stay: calibrations of the odometry change them a little
+        return of(se2.retract(poses, delta[:-4].reshape(-1, 3)), moved)
 
     for index in range(len(rows.factors(poses, common))):
         group = rows.factors(poses, common)[index]
         numeric = central_difference(
             lambda d, i=index: errors(d, lambda p, c: -rows.factors(p, c)[i].towards.ravel()),
-            np.zeros(3 * len(poses) + 2),
+            np.zeros(3 * len(poses) + 4),
             1e-6,
         )
         analytic = np.zeros_like(numeric)
         size = group.towards.shape[1]
         for k, node in enumerate(group.nodes):
             analytic[size * k : size * (k + 1), 3 * node : 3 * node + 3] = group.by_pose[k]
-            analytic[size * k : size * (k + 1), -2:] = group.by_globals[k][:, -2:]
+            analytic[size * k : size * (k + 1), -4:] = group.by_globals[k][:, -4:]
         np.testing.assert_allclose(analytic, numeric, atol=1e-5 * np.abs(numeric).max())
 
 
@@ -86,9 +86,9 @@ def test_turned_and_late_eyes_are_found(solver: Solver) -> None:
     chain, truth = seen(400, 3, 0.03, 0.06)
     calibration = Calibration(crab_sigma_rad=0.0)
     solution = solver(chain, Config(graph=GAUSSIAN, sensor=PRIOR, calibration=calibration), None)
-    sigmas = np.sqrt(np.diagonal(solution.global_covariance))[6:]
+    sigmas = np.sqrt(np.diagonal(solution.global_covariance))[8:]
     assert (sigmas < [0.01, 0.01]).all()
-    assert (np.abs(np.subtract(solution.sensor, (0.03, 0.06))) < 3 * sigmas).all()
+    assert (np.abs(np.subtract(solution.sensor[2:], (0.03, 0.06))) < 3 * sigmas).all()
     plain = solve(chain, PLAIN)
     better, worse = (np.hypot(*(poses - truth)[:, :2].T).mean() for poses in (solution.poses, plain.poses))
     assert better < 0.8 * worse
@@ -97,15 +97,15 @@ def test_turned_and_late_eyes_are_found(solver: Solver) -> None:
 def test_what_no_sensor_saw_says_nothing_of_it() -> None:
     chain, _ = seen(60, 4, 0.03, 0.06, by_sight=False)
     solution = solve(chain, Config(graph=GAUSSIAN, sensor=PRIOR))
-    assert tuple(solution.sensor) == (0.0, 0.0)
-    np.testing.assert_allclose(np.sqrt(np.diagonal(solution.global_covariance))[6:], [0.05, 0.1], rtol=1e-6)
+    assert tuple(solution.sensor) == (0.0, 0.0, 0.0, 0.0)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(solution.global_covariance))[8:], [0.05, 0.1], rtol=1e-6)
 
 
 def test_what_is_known_beforehand_is_where_it_stays_without_a_sight() -> None:
     chain, _ = seen(10, 4, 0.0, 0.0, by_sight=False)
-    known = Sensor(0.05, 0.0, bearing_offset_rad=0.02, delay_s=0.07)
+    known = Sensor(0.0, 0.0, 0.05, 0.0, left_m=0.01, bearing_offset_rad=0.02, delay_s=0.07)
     solution = solve(chain, Config(sensor=known, calibration=replace(PLAIN.calibration, scale=0.1)))
-    np.testing.assert_allclose(solution.sensor, [0.02, 0.07], atol=1e-12)
+    np.testing.assert_allclose(solution.sensor, [0.0, 0.01, 0.02, 0.07], atol=1e-12)
     assert solution.calibration.scale == 0.1
 
 
@@ -115,19 +115,19 @@ def test_a_delay_is_measured_by_how_fast_the_robot_really_is() -> None:
     config = Config(graph=GAUSSIAN, sensor=PRIOR, calibration=Calibration(scale_sigma=0.5))
     found = chain_engine.solve(chain, config)
     assert found.calibration.scale == pytest.approx(0.3, abs=0.05)
-    assert found.sensor.delay_s == pytest.approx(0.08, abs=3 * np.sqrt(found.global_covariance[7, 7]))
+    assert found.sensor.delay_s == pytest.approx(0.08, abs=3 * np.sqrt(found.global_covariance[9, 9]))
 
 
 def test_of_drawn_robots_the_true_values_are_within_two_sigmas_as_often_as_they_should() -> None:
     """Scale of the odometry, bearing offset, delay, of 60 robots drawn from the priors."""
-    random, config = np.random.default_rng(7), Config(graph=GAUSSIAN, sensor=Sensor(0.03, 0.05))
+    random, config = np.random.default_rng(7), Config(graph=GAUSSIAN, sensor=Sensor(0.0, 0.0, 0.03, 0.05))
     hits = np.zeros(3)
     for seed in range(60):
         scale, offset_rad, delay_s = random.standard_normal(3) * [0.1, 0.03, 0.05]
         chain, _ = seen(150, 100 + seed, offset_rad, delay_s, scale)
         found = chain_engine.solve(chain, config)
-        error = np.array([found.calibration.scale - scale, *np.subtract(found.sensor, (offset_rad, delay_s))])
-        hits += np.abs(error) < 2 * np.sqrt(np.diagonal(found.global_covariance)[[0, 6, 7]])
+        error = np.array([found.calibration.scale - scale, *np.subtract(found.sensor[2:], (offset_rad, delay_s))])
+        hits += np.abs(error) < 2 * np.sqrt(np.diagonal(found.global_covariance)[[0, 8, 9]])
     # 95.4 % of 60 is 57.3, sigma 1.6: outside of this once in some hundreds
     assert (hits >= 52).all()
     assert hits.sum() < 180

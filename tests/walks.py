@@ -30,7 +30,7 @@ PERFECT = OdometryCalibration()
 TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0)
 GENTLE = MotionNoise(0.05, 0.03, 0.05, 0.05, log_scale_sigma=1.0)
 KNOWN_NOISE = MotionNoise(0.05, 0.03, 0.05, 0.05, log_scale_sigma=0.0)
-PLAIN = Config(motion=KNOWN_NOISE, calibration=TAKEN_AT_ITS_WORD, sensor=Sensor(0.0, 0.0))
+PLAIN = Config(motion=KNOWN_NOISE, calibration=TAKEN_AT_ITS_WORD, sensor=Sensor(0.0, 0.0, 0.0, 0.0))
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.05, 0.03
 ALL_NEWS = ErrorCorrelation(0.0, 0.0, 0.0, 0.0)
 _NEARLY_SURE = np.diag([1e-3, 1e-3, 1e-3]) ** 2

@@ -23,8 +23,8 @@ _IDENTITY = np.eye(SIZE)
 class Bank:
     """h hypotheses, each with a weight for each of c copies.
 
-    poses: (h, 3) of copy 0; copy i is at compose(copies[i], pose). extra: (h, 10) calibrations and compass offset.
-    covariances: (h, 13, 13). log_weights: (h, c). parents: (h,) row in the bank before the last observation, -1 for one
+    poses: (h, 3) of copy 0; copy i is at compose(copies[i], pose). extra: (h, 12) calibrations and compass offset.
+    covariances: (h, 15, 15). log_weights: (h, c). parents: (h,) row in the bank before the last observation, -1 for one
     that began with it; choices: (h,) which of that observation's solutions it took, -1 for none. found: (h,) whether
     it began as a robot that was carried and has not been the best since.
     """
@@ -137,7 +137,7 @@ class Bank:
 
 
 def gaussian(pose: FloatArray, covariance: FloatArray, extra: FloatArray, copies: int) -> Bank:
-    """One hypothesis (3,), (13, 13), on copy 0 for sure. extra: (10,)."""
+    """One hypothesis (3,), (15, 15), on copy 0 for sure. extra: (12,)."""
     log_weights = np.full((1, copies), -np.inf)
     log_weights[0, 0] = 0.0
     none = np.array([-1])
