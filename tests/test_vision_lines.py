@@ -328,3 +328,16 @@ def test_the_circle_and_the_halfway_line_are_found_in_every_picture_of_a_nao(poi
         picked = np.array([[345.0, 409.5], [345.0, 353.0], [176.0, 374.5], [524.0, 373.0]])
         away = np.linalg.norm(picked[:, None] - found.circles[0].points_px, axis=2).min(axis=1)
         assert away.max() < 5.0
+
+
+@pytest.mark.skipif(not (IMAGES / "nao").is_dir(), reason="needs ../shared/data, which is not shipped")
+@pytest.mark.parametrize("point", [2, 3])
+def test_in_another_light_the_circle_is_seen_all_around_still(point):
+    picture = load_picture(IMAGES / "nao" / "black1" / f"point{point}" / "imagetop.jpg")
+    warm = np.minimum(picture * [0.75, 1.0, 1.2], 255.0)
+    pale = 255.0 * (picture / 255.0) ** 0.6
+    rim = detect(picture).circles[0].points_px
+    for other in (warm, pale):
+        found = detect(other.astype(np.uint8)).circles[0].points_px
+        away = np.linalg.norm(rim[:, None] - found, axis=2).min(axis=1)
+        assert np.mean(away < 5.0) > 0.8

@@ -20,7 +20,7 @@ View = Callable[
     [FloatArray], tuple[Mask, Mask]
 ]  # which points (n, 2) are in the picture, which are below the field's border
 
-_ARCS = 3  # the longest bent chains that are tried, alone and in pairs
+_ARCS, _CORNERED = 3, 1  # the longest bent chains that are tried, alone and in pairs: smooth ones, those with a corner
 _LEAST_SAGITTA_PX = 1.5  # of a bent chain
 _NEAR_PX = 1.5  # from the ellipse is on it, beside the next share of the line's width
 _NEAR_SHARE = 0.15
@@ -29,11 +29,8 @@ _LEAST_SEEN = 0.25  # share of the visible bins that are explained
 _LEAST_BINS = 7
 _WINDOW = 8  # points at least of a part of a chain whose bend is compared with the ellipse's
 _SIGMAS, _LEAST_BEND_PX = 3.0, 0.3  # a bend is more than so many times its noise, and than this
-_BENT, _BENT_MEASURED, _BENT_SHORT = (
-    0.5,
-    0.75,
-    0.6,
-)  # share of the points that are bent as the ellipse is, of those where it is bent
+# Share of the points that are bent as the ellipse is, of those where it is bent.
+_BENT, _BENT_MEASURED, _BENT_SHORT = 0.5, 0.75, 0.6
 _MANY, _FLOOR_PX = 99, 0.05  # windows of what was measured, and the least bend that it tells
 _THINNEST = 2.0  # the shorter semi-axis to how near is on the ellipse: a thinner one might be a straight line
 _LARGEST_PX = 1e4  # semi-axis
@@ -128,12 +125,9 @@ class _Windows:
 
 def find_ellipse(chains: list[FloatArray], view: View) -> tuple[Ellipse, list[Mask]] | None:
     """The circle's ellipse and per chain (m, 3) which of its points are on it; None without one."""
-    arcs = [chain for chain in chains if _is_bent(chain)]
-    if arcs:
-        arcs = [arc for arc, smooth in zip(arcs, _are_smooth(arcs), strict=True) if smooth]
+    arcs = _arcs(chains)
     if not arcs:
         return None
-    arcs = sorted(arcs, key=len, reverse=True)[:_ARCS]
     windows = _windows(chains)
     points, near = windows.points, windows.near_px
     tried = []
@@ -248,6 +242,18 @@ def _is_bent(chain: FloatArray) -> bool:
     sizes = np.linalg.solve(basis @ basis.T + 1e-9 * np.eye(3), basis @ off)
     rest = off - sizes @ basis
     return bool(abs(sizes[2]) > max(_LEAST_SAGITTA_PX, 3.0 * math.sqrt(rest @ rest / len(rest))))
+
+
+def _arcs(chains: list[FloatArray]) -> list[FloatArray]:
+    """The chains (m, 3) that may be the circle's arcs. What bends at a corner may be two lines, or an arc and what it
+    runs into: it is tried beside arcs that are smooth, and none is without these.
+    """
+    bent = sorted((chain for chain in chains if _is_bent(chain)), key=len, reverse=True)
+    if not bent:
+        return []
+    told = list(zip(bent, _are_smooth(bent), strict=True))
+    smooth = [chain for chain, is_smooth in told if is_smooth][:_ARCS]
+    return smooth + [chain for chain, is_smooth in told if not is_smooth][:_CORNERED] if smooth else []
 
 
 def _are_smooth(arcs: list[FloatArray]) -> list[bool]:
