@@ -305,7 +305,10 @@ def _first_line(error: Exception) -> str:
 
 
 def _belief(now: Estimate | None) -> Belief | None:
-    return None if now is None else Belief(now.pose, now.robot_covariance)
+    """None also for one that is no number: who gave it is told so where it is checked."""
+    if now is None or not (np.isfinite(now.pose).all() and np.isfinite(now.covariance).all()):
+        return None
+    return Belief(now.pose, now.robot_covariance)
 
 
 def _check(estimate: Estimate) -> None:

@@ -132,7 +132,7 @@ def test_a_view_and_its_derivative_agree(kind: str) -> None:
     assert views.heard() == pytest.approx(Calibration().odometry_delay_sigma_s ** 2)
     assert views.heard() == 0.0
     _, known = prior(Config())
-    extra = np.array([0.1, -0.1, 0.05, 0.02, 0.01, -0.02, 0.03, 0.05, 0.12, 0.2])
+    extra = np.array([0.1, -0.1, 0.05, 0.02, 0.01, -0.02, 0.02, -0.01, 0.03, 0.05, 0.12, 0.2])
 
     def view_of(beside: FloatArray) -> View:
         if kind == "sight":
