@@ -22,7 +22,7 @@ from fieldloc.scan_noise import NoisePrior, ScanNoise, shared_directions
 _NOTHING = 1e-3  # a share that is as good as none
 # neighbours on the map have errors alike beyond what the whole scan shares: who errs by less than a third of what is
 # stated is not believed
-_LEAST = 0.1
+_LEAST = 0.05
 _LOWEST = np.log([_LEAST, _LEAST, _NOTHING])
 _HIGHEST = np.log(9.0)
 _LONGEST = 0.5  # step in a logarithm
