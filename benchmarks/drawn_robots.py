@@ -24,7 +24,7 @@ _LANDMARKS, _APART_M = 14, 1.2
 _FARTHEST_M, _WIDEST_RAD = 6.0, np.radians(50.0)
 _STATED = np.array([0.05, 0.017])  # of a range, and rad
 _STAND, _SIDEWAYS, _SIDEWAYS_MPS, _TURN_RADPS = 0.1, 0.3, 0.2, 1.0
-_LEAST, _MOST = 0.1, 9.0  # shares of stated variances that fieldloc.scan_noise_learning looks for
+_LEAST, _MOST = 0.05, 9.0  # shares of stated variances that fieldloc.scan_noise_learning looks for
 
 
 @dataclass(frozen=True, slots=True, eq=False)

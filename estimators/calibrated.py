@@ -49,6 +49,11 @@ class Quantity:
         return Quantity(section, name, value, sigma, prior_sigma, gain, told=True)
 
     @property
+    def next_sigma(self) -> float:
+        """How well it is known of the robot on another day."""
+        return float(np.hypot(self.sigma, _NEXT_TIME * self.prior_sigma))
+
+    @property
     def unit(self) -> str:
         return next((unit for end, unit in _UNITS.items() if self.name.endswith(end)), "-")
 
@@ -76,7 +81,7 @@ class RobotCalibration:
     def settings(self, config: Config) -> Config:
         """The settings with what is known now, each quantity a little less surely than it was estimated."""
         values = [quantity.value for quantity in self.quantities]
-        sigmas = [float(np.hypot(q.sigma, _NEXT_TIME * q.prior_sigma)) for q in self.quantities]
+        sigmas = [quantity.next_sigma for quantity in self.quantities]
         calibration = _known(config.calibration, values[:_ODOMETRY], sigmas[:_ODOMETRY])
         late = self.late
         return replace(

@@ -20,7 +20,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.scan_noise import NoisePrior, ScanNoise, shared_directions
 
 _NOTHING = 1e-3  # a share that is as good as none
-# neighbours on the map have errors alike beyond what the whole scan shares: who errs by less than a third of what is
+# neighbours on the map have errors alike beyond what the whole scan shares: who errs by less than a fifth of what is
 # stated is not believed
 _LEAST = 0.05
 _LOWEST = np.log([_LEAST, _LEAST, _NOTHING])

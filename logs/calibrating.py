@@ -18,6 +18,8 @@ from fieldloc.measurements import ImageFeatures
 from fieldloc.mount_correction import PARTS, MountCorrection
 from fieldloc.mount_fit import MountFit, fit_mount
 from fieldloc.pose import FloatArray
+from fieldloc.scan_distortion import DistortionPrior, ScanDistortion
+from fieldloc.scan_noises import LearnedNoise
 from logs.atomic import atomic_text
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
@@ -25,27 +27,31 @@ from logs.replay import Recording, load_recording, replay
 from logs.table import NOTHING, Cell, Table
 from logs.table_text import format_columns
 
+_OF_WHAT = {"mount": "camera", "scan_distortion": "scans'"}
 _MOST_IMAGES = 1000  # of all logs, evenly; neighbours say much the same
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedRobot:
-    """logs: names of those that it is from. mount: of the camera, where there are images. warnings: what is wrong with
-    the logs."""
+    """logs: names of those that it is from. scans: of the sensor that scans, where there is one. mount: of the camera,
+    where there are images. warnings: what is wrong with the logs."""
 
     logs: tuple[str, ...]
     robot: RobotCalibration
+    scans: tuple[Quantity, ...]
     mount: tuple[Quantity, ...]
     wobble: tuple[float, ...]
     warnings: tuple[str, ...]
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        return (*self.robot.quantities, self.robot.late, *self.mount)
+        return (*self.robot.quantities, self.robot.late, *self.scans, *self.mount)
 
     def settings(self, config: Config) -> Config:
         """The settings with what is known now."""
         known = self.robot.settings(config)
+        if self.scans:
+            known = replace(known, scan_distortion=_distortion(self.scans))
         if not self.mount:
             return known
         return replace(known, mount=_mount(self.mount, self.wobble))
@@ -64,6 +70,7 @@ class _Views:
 class _Solved:
     solution: Solution
     views: _Views
+    sensors: tuple[LearnedNoise, ...]
     warnings: tuple[str, ...]
 
 
@@ -88,18 +95,46 @@ def calibrate_recordings(
     whole = list(recordings)
     if not whole:
         raise ValueError("no logs to calibrate from")
-    solved = [_solved(recording, config, start, progress) for recording in whole]
+    solved, learned = [], config
+    for recording in whole:
+        solved.append(_solved(recording, learned, start, progress))
+        learned = _learned(learned, solved[-1].sensors)
     fit = _fitted(solved, whole, config, progress)
     if fit is not None:
         # found with the camera where it was thought to be, poses lean that way and hide a part of its error
         mount = _mount(_quantities(fit, config), tuple(fit.wobble.tolist()))
-        solved = [_solved(recording, replace(config, mount=mount), start, progress) for recording in whole]
+        solved = [_solved(recording, replace(learned, mount=mount), start, progress) for recording in whole]
         fit = _fitted(solved, whole, config, progress)
     robot = calibrated([one.solution for one in solved], config)
     quantities = () if fit is None else _quantities(fit, config)
     wobble = () if fit is None else tuple(fit.wobble.tolist())
     warnings = [warning for one in solved for warning in one.warnings]
-    return CalibratedRobot(tuple(one.name for one in whole), robot, quantities, wobble, tuple(warnings))
+    scans = _scans(config, learned)
+    return CalibratedRobot(tuple(one.name for one in whole), robot, scans, quantities, wobble, tuple(warnings))
+
+
+def _learned(config: Config, sensors: Sequence[LearnedNoise]) -> Config:
+    """What a log says of its sensor's distortion is what is known before the next. The settings have place for one
+    sensor: of several nothing is kept."""
+    if len(sensors) != 1:
+        return config
+    (one,) = sensors
+    sigmas = np.minimum(one.distortion_sigmas, config.scan_distortion.sigmas()).tolist()
+    return replace(config, scan_distortion=DistortionPrior(*[*sigmas, *one.distortion]))
+
+
+def _scans(before: Config, learned: Config) -> tuple[Quantity, ...]:
+    if learned is before:
+        return ()
+    prior, found = before.scan_distortion, learned.scan_distortion
+    numbers = (prior.means(), found.means(), found.sigmas(), prior.sigmas())
+    every = zip(ScanDistortion._fields, *(each.tolist() for each in numbers), strict=True)
+    return tuple(Quantity.found("scan_distortion", name, *each) for name, *each in every)
+
+
+def _distortion(quantities: Sequence[Quantity]) -> DistortionPrior:
+    values = {one.name: one.value for one in quantities}
+    return DistortionPrior(**{f"{one.name}_sigma": one.next_sigma for one in quantities}, **values)
 
 
 def _solved(recording: Recording, config: Config, start: FloatArray | str | None, progress: Progress) -> _Solved:
@@ -109,7 +144,7 @@ def _solved(recording: Recording, config: Config, start: FloatArray | str | None
         raise FieldlocError(f"{recording.name}: it says nothing of the robot: no start was found")
     stamps_ns = [one.stamp_ns for one in done.estimates]
     views = _views(recording.measurements, stamps_ns, smoother.solution)
-    return _Solved(smoother.solution, views, (*recording.warnings, *done.warnings))
+    return _Solved(smoother.solution, views, done.sensors, (*recording.warnings, *done.warnings))
 
 
 def _views(measurements: Sequence[object], stamps_ns: Sequence[int], solution: Solution) -> _Views:
@@ -181,7 +216,8 @@ def write_settings(path: Path, done: CalibratedRobot, config: Config) -> None:
             f"# What {', '.join(done.logs)} says of the robot. A robot is not quite the same the next day: sigmas\n"
         )
         file.write("# here are a little wider than estimated.\n")
-        for section, values in (("calibration", known.calibration), ("sensor", known.sensor), ("mount", known.mount)):
+        sections = {name: getattr(known, name) for name in ("calibration", "sensor", "scan_distortion", "mount")}
+        for section, values in sections.items():
             quantities = [one for one in done.quantities if one.section == section]
             if not quantities:
                 continue
@@ -194,7 +230,7 @@ def write_settings(path: Path, done: CalibratedRobot, config: Config) -> None:
 
 
 def _row(quantity: Quantity) -> tuple[str, ...]:
-    name = f"camera {quantity.plain_name}" if quantity.section == "mount" else quantity.plain_name
+    name = f"{_OF_WHAT.get(quantity.section, '')} {quantity.plain_name}".lstrip()
     value, before = f"{quantity.value:+.4f}", f"{quantity.prior_sigma:.4f}"
     if not quantity.told:
         return name, value, "not told", before, quantity.unit, NOTHING

@@ -73,6 +73,7 @@ class Replay:
     warnings: tuple[str, ...]
     ambiguities: tuple[Ambiguity, ...] = ()
     events: tuple[Event, ...] = ()
+    sensors: tuple[LearnedNoise, ...] = ()
 
 
 def load_recording(log: LogFile, field: FieldMap | None = None, progress: Progress = unwatched) -> Recording:
@@ -291,7 +292,7 @@ def replay(
         raise FieldlocError(f"{recording.name}: {_never_started(recording, unsure=bool(kept.all()))}")
     events = () if ambiguous is None else tuple(sorted(ambiguous.events, key=lambda event: event.stamp_ns))
     total_s = time.perf_counter() - began
-    return Replay(tuple(estimates), np.array(update_s), total_s, run.warnings, kept.all(), events)
+    return Replay(tuple(estimates), np.array(update_s), total_s, run.warnings, kept.all(), events, run.scan_noises)
 
 
 def _region(start: FloatArray | Region | str | None, field: FieldMap) -> Region:

@@ -21,6 +21,10 @@ MOUNT = tuple(
     Quantity("mount", name, value, 0.002, 0.02, 3.0, True)
     for name, value in (("height_m", -0.01), ("tilt_rad", 0.02), ("roll_rad", 0.01))
 )
+SCANS = tuple(
+    Quantity("scan_distortion", name, value, 0.02, 0.05, 2.0, True)
+    for name, value in (("log_scale", 0.03), ("depth", 0.9), ("askew", 0.0), ("bearing_scale", 0.01))
+)
 
 
 def solution(values: FloatArray, covariance: FloatArray) -> Solution:
@@ -126,10 +130,11 @@ def test_nothing_says_nothing() -> None:
 def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     true = rng.normal(size=SIZE) * global_sigmas(CONFIG)
-    done = CalibratedRobot(("a", "b"), calibrated([posterior(true, rng, 50)], CONFIG), MOUNT, (0.004, 0.01, 0.01), ())
+    robot = calibrated([posterior(true, rng, 50)], CONFIG)
+    done = CalibratedRobot(("a", "b"), robot, SCANS, MOUNT, (0.004, 0.01, 0.01), ())
     path = tmp_path / "robot.toml"
     write_settings(path, done, CONFIG)
     assert load_config(path) == done.settings(CONFIG)
     table = calibration_table(done).splitlines()
-    assert len(table) == 2 + SIZE + len(MOUNT)
+    assert len(table) == 2 + SIZE + len(SCANS) + len(MOUNT)
     assert table[0].split() == ["quantity", "value", "sigma", "sigma", "before", "unit", "log-likelihood"]

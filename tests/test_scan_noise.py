@@ -140,8 +140,8 @@ def test_ranges_are_as_uncertain_as_stated_where_neighbours_agree_and_more_is_no
 
 
 def test_nobody_is_believed_to_be_far_better_than_he_says() -> None:
-    one = learned(ScanNoise(0.01, 0.01, 0.0, 0.0), NoisePrior())
-    assert one.noise.own_range == one.noise.own_bearing == pytest.approx(0.1)
+    one = learned(ScanNoise(0.002, 0.002, 0.0, 0.0), NoisePrior())
+    assert one.noise.own_range == one.noise.own_bearing == pytest.approx(0.05)
 
 
 def test_who_takes_the_log_at_its_word_learns_nothing() -> None:
