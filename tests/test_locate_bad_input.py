@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ from fieldloc.vision.picture import UInt8Array, encode
 FIELD = load_field("spl")
 LOOK = Look(np.array([-2.2, 0.6, 0.1]), 0.5, 0.18, 0.0)
 TURF = (40, 140, 50)
-LIMIT_S = 8.0  # a fraction of a second each, and a machine that does ten other things
+LIMIT_S = 6.0  # of the processor, whatever else it does
 
 
 @pytest.fixture(scope="module")
@@ -57,10 +57,10 @@ def answer(picture: UInt8Array) -> Located:
     height, width = picture.shape[:2]
     focal = 610.0 * width / 640.0
     camera = Camera("pinhole", width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
-    start = perf_counter()
+    start = process_time()
     located = locate(detect(picture, FIELD.colours, camera), camera, FIELD)
     mixture(located, FIELD, 0)
-    assert perf_counter() - start < LIMIT_S
+    assert process_time() - start < LIMIT_S
     return located
 
 
@@ -78,6 +78,15 @@ def test_a_picture_of_hardly_a_pixel_has_no_pose(photo: UInt8Array, size: tuple[
 @pytest.mark.parametrize("size", [(480, 640), (4320, 7680)])
 def test_what_is_no_field_gives_no_sure_answer(make: Callable[[int, int], UInt8Array], size: tuple[int, int]) -> None:
     assert sure(answer(make(*size))) < 0.5
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_specks_that_line_up_by_chance_are_hardly_ever_a_pose(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    specks = random.random((480, 640, 1)) < 0.02
+    located = answer(np.where(specks, 255, TURF).astype(np.uint8))
+    assert sure(located) < 0.25
+    assert not located.hypotheses or located.none < 0.99
 
 
 def test_a_huge_photograph_is_located_as_the_small_one(photo: UInt8Array) -> None:

@@ -26,6 +26,7 @@ _STAGES = ((10.0, 35.0, 3), (5.0, 40.0, 2), (1.0, 30.0, 1), (0.0, 30.0, 1))
 _SHARPER = 0.25
 _DOUBTED, _DOUBTING = 4, 1  # states are fitted without their posts, too, from that stage on
 _NEGLIGIBLE = 1e-4
+_HOPELESS = 0.01  # all poses together: specks line up by chance somewhere
 
 
 def locate(
@@ -35,7 +36,7 @@ def locate(
     prior: CameraPrior | None = None,
     settings: LocateSettings | None = None,
 ) -> Located:
-    """All poses worth a probability of 1e-4; none where nothing on the map explains what was detected.
+    """All poses worth a probability of 1e-4; none where what was detected is hardly explained by anything on the map.
 
     The map's symmetries give twins of equal probability. prior: of height, pitch and roll, wide if not given.
     """
@@ -89,6 +90,8 @@ def _answer(task: Task, settled: Settled, kept: np.ndarray[tuple[int], np.dtype[
     log_right = settings.trust * (settled.log_evidence[kept] + _log_false(task)) + np.log1p(-settings.none_right)
     logs = np.append(log_right, np.log(settings.none_right))
     shares = np.exp(logs - np.logaddexp.reduce(logs))
+    if shares[-1] > 1.0 - _HOPELESS:
+        return Located((), 1.0)
     found = []
     for share, row in zip(shares, kept, strict=False):
         if share < _NEGLIGIBLE:
