@@ -159,7 +159,7 @@ class Sensor:
 
     forward_sigma_m: float = 0.03
     left_sigma_m: float = 0.03
-    bearing_offset_sigma_rad: float = 0.02
+    bearing_offset_sigma_rad: float = 0.015
     delay_sigma_s: float = 0.05
     forward_m: float = 0.0
     left_m: float = 0.0

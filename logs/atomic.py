@@ -11,16 +11,28 @@ from typing import TextIO
 from fieldloc.errors import FieldlocError
 
 
+def write_atomic(path: Path, data: bytes) -> None:
+    """In a folder that is made if needed. FieldlocError where it cannot be written."""
+    with _unfinished(path) as unfinished:
+        unfinished.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.write_bytes(data)
+
+
 @contextmanager
 def atomic_text(path: Path) -> Iterator[TextIO]:
     """A UTF-8 file to write; it takes the place of `path` when the block ends well and vanishes when it does not.
 
     FieldlocError where the directory cannot be written.
     """
+    with _unfinished(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="\n") as file:
+        yield file
+
+
+@contextmanager
+def _unfinished(path: Path) -> Iterator[Path]:
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with unfinished.open("w", encoding="utf-8", newline="\n") as file:
-            yield file
+        yield unfinished
         unfinished.replace(path)
     except OSError as error:
         raise FieldlocError(f"cannot write {path}: {error.strerror}") from error

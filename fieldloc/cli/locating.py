@@ -108,6 +108,7 @@ def _one(
     from fieldloc.vision.detect import detect
     from fieldloc.vision.overlay import draw
     from fieldloc.vision.picture import encode, load_picture
+    from logs.atomic import write_atomic
 
     picture = load_picture(path)
     height, width = picture.shape[:2]
@@ -125,8 +126,7 @@ def _one(
     located = locate(detections, camera, field, prior)
     if overlay is not None:
         data = encode(draw(picture, detections, located, camera, field), overlay.suffix or ".png")
-        overlay.parent.mkdir(parents=True, exist_ok=True)
-        overlay.write_bytes(data)
+        write_atomic(overlay, data)
     return detections, located
 
 

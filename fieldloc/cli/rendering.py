@@ -121,16 +121,13 @@ def _write(
     from fieldloc.render.document import truth_json
     from fieldloc.render.renderer import render_with_truth
     from fieldloc.vision.picture import encode
+    from logs.atomic import write_atomic
 
     field = load_field(field_name)
     picture, truth = render_with_truth(view.scene, view.camera, field, view.mount, view.pose, random)
     data = encode(picture, path.suffix, quality)
-    _make(path.parent)
-    try:
-        path.write_bytes(data)
-        path.with_suffix(".json").write_text(truth_json(view, field.name, truth, seed) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise FieldlocError(f"{path}: cannot be written: {error.strerror or error}") from None
+    write_atomic(path, data)
+    write_atomic(path.with_suffix(".json"), f"{truth_json(view, field.name, truth, seed)}\n".encode())
 
 
 def _make(folder: Path) -> None:

@@ -20,7 +20,7 @@ from logs.importers.result import Cut, Imported, Progress, write_log
 RANGE_SIGMA_RELATIVE = 0.05
 RANGE_SIGMA_FLOOR_M = 0.02
 BEARING_SIGMA_RAD = 0.017
-"""The data set states no noise. Against its truth ranges scatter by about 4.5 %, most of it because a size tells a depth
+"""The data set states no noise. Against its truth ranges scatter by about 4.5 %, mostly because a size tells a depth
 and not a distance, and bearings by 0.009 rad, around an offset of each robot's camera of up to 0.0135 rad:
 hypot(0.009, 0.0135) rounded up. Ranges are written as the source has them; estimators learn what distorts them."""
 
