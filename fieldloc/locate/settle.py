@@ -18,10 +18,10 @@ from fieldloc.locate.task import Task
 from fieldloc.locate.windows import Windows, cut
 from fieldloc.pose import FloatArray
 
-# Of the model's noise, as variances, and how often that much is met: none to speak of where a picture is drawn or a
-# field and a lens are surveyed; else what people lay out and nobody calibrates, of which little is in between.
+# Of the model's noise, as variances, and how often that much is met: none to speak of, where a picture is drawn or the
+# field and the lens are surveyed, as often as what people lay out by tape; what is in between is rare.
 _AMOUNTS = np.array([0.0001, 0.01, 0.2, 1.0, 5.0])
-_LOG_OFTEN = np.log(np.array([0.6, 0.1, 0.14, 0.14, 0.02]))
+_LOG_OFTEN = np.log(np.array([0.5, 0.02, 0.22, 0.22, 0.04]))
 _HIDDEN = 4.0  # times as much as it shows may a fit hide
 _LEAST_NUMBERS = 4  # of a pose, height and attitude known somewhat
 _UNKNOWN = np.array([1.5, 1.5, 0.5])  # standard deviations of what is no pose any more
