@@ -25,6 +25,7 @@ from estimators.mixture import MixtureFilter
 from estimators.motion import OdometryCalibration
 from estimators.sensor import SensorCalibration
 from estimators.smoother import Smoother
+from estimators.views import CALIBRATION
 from fieldloc import pose as se2
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.pose import FloatArray
@@ -91,12 +92,16 @@ def driven_by(duration_s: float, seed: int) -> Driven:
     smoother, ahead = Smoother(config), MixtureFilter(config)
     looked_back, told = replay(log.recording, smoother, None, config), replay(log.recording, ahead, None, config)
     assert smoother.solution is not None
-    robot = calibrated([smoother.solution], config)
+    (scanner,) = looked_back.sensors
+    robot = calibrated([smoother.solution], config, scanner.place_sigmas)
     quantities = (*robot.quantities, robot.late)
     extra, known = ahead.learned
+    sigmas = np.sqrt(np.diag(known))[: len(true)]
+    place = slice(CALIBRATION, CALIBRATION + 2)
+    sigmas[place] = np.minimum(np.hypot(sigmas[place], scanner.place_sigmas), priors[place])
     return Driven(
         _found([one.value for one in quantities] - true, [one.sigma for one in quantities], priors),
-        _found(extra[: len(true)] - true, np.sqrt(np.diag(known))[: len(true)], priors),
+        _found(extra[: len(true)] - true, sigmas, priors),
         _errors(log, looked_back.estimates),
         _errors(log, told.estimates),
     )

@@ -17,6 +17,7 @@ TOLD_NOTHING = 0.9  # of the prior's sigma: more than this is left where a log s
 _NEXT_TIME = 0.1  # of the prior's sigma: a robot is not quite the same the next day
 _ODOMETRY = len(OdometryCalibration._fields)
 _DELAY = _ODOMETRY + SensorCalibration._fields.index("delay_s")
+_PLACE = slice(_ODOMETRY, _ODOMETRY + 2)
 _UNITS = {"_rad_per_m": "rad/m", "_radps": "rad/s", "_mps": "m/s", "_rad": "rad", "_s": "s", "_m": "m"}
 
 _NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields)
@@ -91,10 +92,13 @@ class RobotCalibration:
         )
 
 
-def calibrated(solutions: Sequence[Solution], config: Config) -> RobotCalibration:
+def calibrated(
+    solutions: Sequence[Solution], config: Config, place_sigmas: FloatArray | None = None
+) -> RobotCalibration:
     """All that these solutions, of logs of one robot under `config`, say together.
 
-    What the prior says counts once. ValueError for no solutions.
+    What the prior says counts once. place_sigmas: (2,) metres that are open of the eyes' place beside that. ValueError
+    for no solutions.
     """
     if not solutions:
         raise ValueError("no solution to calibrate from")
@@ -114,7 +118,10 @@ def calibrated(solutions: Sequence[Solution], config: Config) -> RobotCalibratio
     whole[np.ix_(free, free)] = covariance * max(1.0, np.nan_to_num(disagreement))
     values = prior_mean.copy()
     values[free] = mean
-    sigmas = np.minimum(np.sqrt(np.diagonal(whole)), prior_sigma)
+    sigmas = np.sqrt(np.diagonal(whole))
+    if place_sigmas is not None:
+        sigmas[_PLACE] = np.hypot(sigmas[_PLACE], place_sigmas)
+    sigmas = np.minimum(sigmas, prior_sigma)
     quantities = tuple(
         Quantity.found("calibration" if k < _ODOMETRY else "sensor", name, *numbers)
         for k, (name, *numbers) in enumerate(

@@ -72,6 +72,7 @@ class DistortionLearner:
     def __init__(self, prior: DistortionPrior) -> None:
         self._mean = prior.means()
         self._covariance = np.diag(prior.sigmas() ** 2)
+        self._moved, self._seen = np.zeros((2, 4)), 0
 
     @property
     def distortion(self) -> ScanDistortion:
@@ -82,6 +83,13 @@ class DistortionLearner:
     def sigmas(self) -> FloatArray:
         """(4,) standard deviations of it."""
         return np.asarray(np.sqrt(np.diagonal(self._covariance)))
+
+    @property
+    def place_sigmas(self) -> FloatArray:
+        """(2,) by how much the sensor may seem to be ahead and to the left of where it is, metres, by what is not known
+        of its distortion: ranges that are too long are like a sensor too far back where all is seen ahead."""
+        moved = self._moved / max(self._seen, 1)
+        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", moved, self._covariance, moved)))
 
     def uncertainty(self, range_bearing: FloatArray) -> FloatArray:
         """(2n, 2n) covariance of ranges and bearings (n, 2) by what is not known of it."""
@@ -96,6 +104,10 @@ class DistortionLearner:
         left = np.linalg.solve(np.eye(4) + self._covariance @ information, self._covariance)
         self._mean = self._mean - left @ (by_mean.T @ precision @ error.ravel())
         self._covariance = 0.5 * (left + left.T)
+        r, b = range_bearing.T
+        along, across = by_mean[::2], by_mean[1::2] * r[:, None]
+        self._moved += [np.cos(b) @ along - np.sin(b) @ across, np.sin(b) @ along + np.cos(b) @ across]
+        self._seen += len(r)
 
 
 def log_depth(bearing_rad: FloatArray) -> FloatArray:

@@ -30,13 +30,15 @@ _ABOUT = np.diag([0.1, 0.1, 0.05]) ** 2  # m, m, rad: how well poses are known f
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedNoise:
     """Of the sensor that is mounted there (3,), from so many scans. log_sigmas: (3,) standard deviations of the
-    logarithms of the shares own_range, own_bearing and shared_range. distortion_sigmas: (3,) of the distortion."""
+    logarithms of the shares own_range, own_bearing and shared_range. distortion_sigmas: (4,) of the distortion.
+    place_sigmas: (2,) metres that this leaves open of where the sensor is, ahead and to the left, in its own frame."""
 
     robot_from_sensor: FloatArray
     noise: ScanNoise
     log_sigmas: FloatArray
     distortion: ScanDistortion
     distortion_sigmas: FloatArray
+    place_sigmas: FloatArray
     scans: int
 
 
@@ -111,6 +113,7 @@ class ScanNoises:
                 noise.log_sigmas,
                 distortion.distortion,
                 distortion.sigmas,
+                distortion.place_sigmas,
                 noise.count,
             )
             for mount, (noise, distortion) in self._learners.items()

@@ -105,7 +105,9 @@ def calibrate_recordings(
         mount = _mount(_quantities(fit, config), tuple(fit.wobble.tolist()))
         solved = [_solved(recording, replace(learned, mount=mount), start, progress) for recording in whole]
         fit = _fitted(solved, whole, config, progress)
-    robot = calibrated([one.solution for one in solved], config)
+    scanning = solved[-1].sensors
+    place = scanning[0].place_sigmas if len(scanning) == 1 else None
+    robot = calibrated([one.solution for one in solved], config, place)
     quantities = () if fit is None else _quantities(fit, config)
     wobble = () if fit is None else tuple(fit.wobble.tolist())
     warnings = [warning for one in solved for warning in one.warnings]

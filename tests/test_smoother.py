@@ -227,7 +227,11 @@ def test_the_errors_of_many_walks_are_as_large_as_the_marginals_say(
 ) -> None:
     real = np.random.default_rng(9).normal(0.0, calibration.sigmas(), (walks, 6))
     runs = seen_walks(
-        walks, max(60, nodes[-1] + 1), Config(motion=KNOWN_NOISE, graph=GAUSSIAN, calibration=calibration), real, 8
+        walks,
+        max(60, nodes[-1] + 1),
+        Config(motion=KNOWN_NOISE, graph=GAUSSIAN, calibration=calibration, sensor=PLAIN.sensor),
+        real,
+        8,
     )
     answers = [(smoother.trajectory(), truth) for smoother, truth in runs]
     for node in nodes:
