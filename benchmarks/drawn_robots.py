@@ -15,6 +15,7 @@ from fieldloc import pose as se2
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan, Measurement, Odometry
 from fieldloc.pose import FloatArray
+from fieldloc.scan_distortion import PERFECT, ScanDistortion
 from logs.replay import Recording
 
 _STEP_NS, _ODOMETRY_STEPS, _SCAN_STEPS = 20_000_000, 5, 15
@@ -31,7 +32,8 @@ _LEAST, _MOST = 0.05, 9.0  # shares of stated variances that fieldloc.scan_noise
 class DrawnRobot:
     """calibration: (6,) of the odometry, sensor (4,) of the eyes, as in the settings. late_s: it does so much later
     what the odometry says. motion_scales: (2,) of variances along the way and of turns. own, shared: (2,) variances of
-    a landmark's own error in range and bearing, and of what a scan shares, as shares of the stated ones."""
+    a landmark's own error in range and bearing, and of what a scan shares, as shares of the stated ones. distortion:
+    of its scans."""
 
     calibration: FloatArray
     sensor: FloatArray
@@ -39,6 +41,7 @@ class DrawnRobot:
     motion_scales: FloatArray
     own: FloatArray
     shared: FloatArray
+    distortion: ScanDistortion = PERFECT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +72,7 @@ def drawn_robot(config: Config, random: np.random.Generator) -> DrawnRobot:
         np.exp(config.motion.log_scale_sigma * random.standard_normal(2)),
         own,
         np.array([shared_range, max(1.0 - own[1], noise.shared)]),
+        ScanDistortion(*random.normal(config.scan_distortion.means(), config.scan_distortion.sigmas()).tolist()),
     )
 
 
@@ -156,7 +160,7 @@ def _scans(
         away = se2.apply(se2.inverse(eyes), field.positions)
         true = np.column_stack([np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0])])
         sigmas = np.column_stack([_STATED[0] * true[:, 0], np.full(len(true), _STATED[1])])
-        seen = true + sigmas * (own * np.sqrt(robot.own) + shared * np.sqrt(robot.shared))
+        seen = robot.distortion.added(true) + sigmas * (own * np.sqrt(robot.own) + shared * np.sqrt(robot.shared))
         rows = np.flatnonzero((true[:, 0] < _FARTHEST_M) & (np.abs(true[:, 1]) < _WIDEST_RAD) & (seen[:, 0] > 0.1))
         seen[:, 1] = se2.wrap(seen[:, 1] + bearing_offset_rad)
         stated = np.zeros((len(rows), 2, 2))

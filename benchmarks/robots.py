@@ -29,9 +29,10 @@ from estimators.views import CALIBRATION
 from fieldloc import pose as se2
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.pose import FloatArray
+from fieldloc.scan_distortion import ScanDistortion
 from logs.replay import replay
 
-NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields, "odometry_delay_s")
+NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields, "odometry_delay_s", *ScanDistortion._fields)
 _CONVERGED_S = 30.0
 _FIRST_S = 5.0  # by then a robot that is told nothing has seen where it is
 
@@ -85,10 +86,10 @@ def driven_by(duration_s: float, seed: int) -> Driven:
     config = replace(Config(), graph=Graph(engine="chain"))
     random = np.random.default_rng(seed)
     log = drive(drawn_robot(config, random), config, duration_s, random)
-    true = np.array([*log.robot.calibration, *log.robot.sensor, log.robot.late_s])
-    priors = np.array(
-        [*config.calibration.sigmas(), *config.sensor.sigmas(), config.calibration.odometry_delay_sigma_s]
-    )
+    eyes = [*log.robot.sensor, log.robot.late_s]
+    true = np.array([*log.robot.calibration, *eyes, *log.robot.distortion])
+    late_sigma_s, distortion = config.calibration.odometry_delay_sigma_s, config.scan_distortion.sigmas()
+    priors = np.array([*config.calibration.sigmas(), *config.sensor.sigmas(), late_sigma_s, *distortion])
     smoother, ahead = Smoother(config), MixtureFilter(config)
     looked_back, told = replay(log.recording, smoother, None, config), replay(log.recording, ahead, None, config)
     assert smoother.solution is not None
@@ -96,12 +97,17 @@ def driven_by(duration_s: float, seed: int) -> Driven:
     robot = calibrated([smoother.solution], config, scanner.place_sigmas)
     quantities = (*robot.quantities, robot.late)
     extra, known = ahead.learned
-    sigmas = np.sqrt(np.diag(known))[: len(true)]
+    online, sigmas = extra[:-1], np.sqrt(np.diag(known))[:-1]  # less the compass
     place = slice(CALIBRATION, CALIBRATION + 2)
     sigmas[place] = np.minimum(np.hypot(sigmas[place], scanner.place_sigmas), priors[place])
+    scans = [*scanner.distortion], [*scanner.distortion_sigmas]
     return Driven(
-        _found([one.value for one in quantities] - true, [one.sigma for one in quantities], priors),
-        _found(extra[: len(true)] - true, sigmas, priors),
+        _found(
+            [*(one.value for one in quantities), *scans[0]] - true,
+            [*(one.sigma for one in quantities), *scans[1]],
+            priors,
+        ),
+        _found([*online, *scans[0]] - true, [*sigmas, *scans[1]], priors),
         _errors(log, looked_back.estimates),
         _errors(log, told.estimates),
     )

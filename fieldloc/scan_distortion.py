@@ -30,9 +30,16 @@ class ScanDistortion(NamedTuple):
         """(n, 2) as a perfect sensor would have it."""
         if not any(self):
             return range_bearing
+        b = range_bearing[:, 1] / (1.0 + self.bearing_scale)
+        return np.stack([range_bearing[:, 0] * np.exp(-self._longer(b)), b], axis=-1)
+
+    def added(self, range_bearing: FloatArray) -> FloatArray:
+        """(n, 2) as this sensor has what a perfect one has so: the inverse."""
         r, b = range_bearing.T
-        b = b / (1.0 + self.bearing_scale)
-        return np.stack([r * np.exp(-self.log_scale - self.depth * log_depth(b) - self.askew * np.sin(b)), b], axis=-1)
+        return np.stack([r * np.exp(self._longer(b)), b * (1.0 + self.bearing_scale)], axis=-1)
+
+    def _longer(self, bearing_rad: FloatArray) -> FloatArray:
+        return np.asarray(self.log_scale + self.depth * log_depth(bearing_rad) + self.askew * np.sin(bearing_rad))
 
 
 PERFECT = ScanDistortion()

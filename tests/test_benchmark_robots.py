@@ -81,7 +81,7 @@ def inside(driven: list[Driven], sigmas: float) -> dict[str, float]:
 
 
 def test_a_robot_is_found_to_be_what_it_is() -> None:
-    one = driven_by(30.0, 0)
+    one = driven_by(60.0, 0)
     assert tuple(found.name for found in one.batch) == NAMES
     assert min(inside([one], 4.0).values()) == 1.0
     by_name = {found.name: found for found in one.batch}

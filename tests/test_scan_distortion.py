@@ -36,9 +36,7 @@ def scan_of(
     seen = np.stack([np.hypot(at[:, 0], at[:, 1]), np.arctan2(at[:, 1], at[:, 0])], axis=-1)
     rows = np.flatnonzero(np.abs(seen[:, 1]) < widest_rad)
     seen = seen[rows]
-    depth = np.log(np.cos(seen[:, 1])) if distortion.depth else 0.0
-    longer = distortion.log_scale + distortion.depth * depth + distortion.askew * np.sin(seen[:, 1])
-    seen *= np.stack([np.exp(longer), np.full(len(rows), 1.0 + distortion.bearing_scale)], axis=-1)
+    seen = distortion.added(seen)
     sigmas = np.stack([0.03 * seen[:, 0], np.full(len(rows), 0.01)], axis=-1)
     seen = seen + sigmas * random.standard_normal(seen.shape)
     return LandmarkScan(stamp_ns, tuple(map(str, rows)), seen, sigmas[:, :, None] ** 2 * np.eye(2), MOUNT)
@@ -110,7 +108,9 @@ def test_removing_a_distortion_gives_back_what_was_there() -> None:
     bent = seen.copy()
     bent[:, 0] *= np.exp(0.05 + np.log(np.cos(seen[:, 1])) + 0.02 * np.sin(seen[:, 1]))
     bent[:, 1] *= 1.04
-    np.testing.assert_allclose(ScanDistortion(0.05, 1.0, 0.02, 0.04).removed(bent), seen, rtol=1e-12)
+    distortion = ScanDistortion(0.05, 1.0, 0.02, 0.04)
+    np.testing.assert_allclose(distortion.removed(bent), seen, rtol=1e-12)
+    np.testing.assert_allclose(distortion.added(seen), bent, rtol=1e-12)
     assert PERFECT.removed(seen) is seen
 
 
