@@ -23,6 +23,7 @@ from fieldloc.detection import Detection
 from fieldloc.errors import FieldlocError
 from fieldloc.mount_correction import PARTS, MountCorrection
 from fieldloc.repetition import ErrorCorrelation
+from fieldloc.scan_distortion import DistortionPrior, ScanDistortion
 from fieldloc.scan_noise import NoisePrior
 from fieldloc.toml_table import TomlTable
 
@@ -41,7 +42,7 @@ _ABOVE_ZERO = (
 )
 _QUOTES = "'\""
 _WORDS = {"engine": ENGINES}
-_SIGNED = (*OdometryCalibration._fields, *SensorCalibration._fields, *PARTS)
+_SIGNED = (*OdometryCalibration._fields, *SensorCalibration._fields, *ScanDistortion._fields, *PARTS)
 _BELOW_ONE = ("outlier_share", "prune_below", "negligible", "post", "clutter", "nothing_right")
 
 Section = TypeVar(
@@ -57,6 +58,7 @@ Section = TypeVar(
     ErrorCorrelation,
     Detection,
     NoisePrior,
+    DistortionPrior,
     Compass,
 )
 

@@ -23,7 +23,7 @@ MOUNT = tuple(
 )
 SCANS = tuple(
     Quantity("scan_distortion", name, value, 0.02, 0.05, 2.0, True)
-    for name, value in (("log_scale", 0.03), ("depth", 0.9), ("askew", 0.0), ("bearing_scale", 0.01))
+    for name, value in (("log_scale", 0.03), ("depth", 0.9), ("askew", -0.01), ("bearing_scale", 0.01))
 )
 
 
