@@ -19,7 +19,7 @@ from fieldloc.field import load_field
 from fieldloc.locate import CameraPrior, Located, locate
 from fieldloc.pose import FloatArray, rotation
 from fieldloc.vision.detect import detect
-from fieldloc.vision.detections import Detections, SeenPost
+from fieldloc.vision.detections import Detections
 from fieldloc.vision.picture import load_picture
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -102,7 +102,7 @@ def _boxes() -> str:
     for file in files:
         picture = load_picture(file.with_suffix(".jpg"))
         boxes = _post_boxes(file, picture.shape[1], picture.shape[0])
-        found = [_box(post) for post in detect(picture).posts]
+        found = [post.box_px for post in detect(picture).posts]
         true, seen = true + len(boxes), seen + len(found)
         for box in found:
             over = [_overlap(box, other) for other in boxes]
@@ -121,11 +121,6 @@ def _post_boxes(file: Path, width_px: int, height_px: int) -> list[FloatArray]:
             u, v, width, height = np.array(numbers, dtype=np.float64) * [width_px, height_px, width_px, height_px]
             out.append(np.array([u - width / 2, v - height / 2, u + width / 2, v + height / 2]))
     return out
-
-
-def _box(post: SeenPost) -> FloatArray:
-    points = np.concatenate([post.left_px, post.right_px])
-    return np.concatenate([points.min(axis=0), points.max(axis=0)])
 
 
 def _overlap(one: FloatArray, other: FloatArray) -> float:

@@ -52,6 +52,11 @@ def test_a_rendered_photograph_is_located_without_being_told_anything(call: Call
     assert abs(first["camera"]["pitch_rad"] - LOOK.pitch_rad) < 0.01
     assert abs(first["camera"]["height_m"] - LOOK.height_m) < 0.02
     assert told["detections"]["lines"]
+    assert all(np.shape(line["covariance_px2"]) == (4, 4) for line in told["detections"]["lines"])
+    for post in told["detections"]["posts"]:
+        left, upper, right, lower = post["box_px"]
+        assert left < right
+        assert upper < lower
 
 
 def test_attitude_and_height_may_be_told(call: Call, folder: Path) -> None:

@@ -183,13 +183,19 @@ def _record(path: Path, detections: "Detections", located: "Located") -> dict[st
         "none_probability": located.none,
         "detections": {
             "lines": [
-                {"ends_px": line.ends_px.tolist(), "width_px": [_number(w) for w in line.width_px]}
+                {
+                    "ends_px": line.ends_px.tolist(),
+                    "covariance_px2": line.covariance_px2.tolist(),
+                    "width_px": [_number(w) for w in line.width_px],
+                }
                 for line in detections.lines
             ],
             "posts": [
                 {
                     "left_px": post.left_px.tolist(),
                     "right_px": post.right_px.tolist(),
+                    "covariance_px2": post.covariance_px2.tolist(),
+                    "box_px": post.box_px.tolist(),
                     "foot_px": None if post.foot_px is None else post.foot_px.tolist(),
                     "top_px": None if post.top_px is None else post.top_px.tolist(),
                 }

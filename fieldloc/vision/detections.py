@@ -48,6 +48,12 @@ class SeenPost:
     top_px: FloatArray | None = None
     top_covariance_px2: FloatArray | None = None
 
+    @property
+    def box_px(self) -> FloatArray:
+        """(4,) left, upper, right, lower of all that is seen of it."""
+        ends = np.concatenate([self.left_px, self.right_px])
+        return np.concatenate([ends.min(axis=0), ends.max(axis=0)])
+
     def observation(self) -> PostObservation:
         """The middle of either edge: what one image's fix takes."""
         half = np.zeros((4, 8))
