@@ -12,10 +12,10 @@ from estimators.recent import Recent
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
 
-_MAX_GAP_S = 60.0  # a longer silence, or a clock that jumped, makes the pose no more unknown than this
-_MAX_PERIOD_S = 1.0
+MAX_GAP_S = 60.0  # a longer silence, or a clock that jumped, makes the pose no more unknown than this
+MAX_PERIOD_S = 1.0
 # how much of a motion is left at Gauss's two points: exact up to cubic, so straight ahead
-_GAUSS = (0.5 + 0.5 / 3**0.5, 0.5 - 0.5 / 3**0.5)
+GAUSS_POINTS = (0.5 + 0.5 / 3**0.5, 0.5 - 0.5 / 3**0.5)
 _SMALL_ANGLE_RAD = 1e-4
 _AS_SAID = np.ones(2)
 _NO_PARTS = np.zeros((2, 3, 3))
@@ -126,7 +126,7 @@ class HeldVelocity:
             if elapsed_s < 0.0:
                 return
             if elapsed_s > 0.0:  # a message that comes twice says nothing of the period
-                self._period_s = min(elapsed_s, _MAX_PERIOD_S)
+                self._period_s = min(elapsed_s, MAX_PERIOD_S)
         self._odometry = odometry
         self._recent.hold(odometry)
 
@@ -159,7 +159,7 @@ class HeldVelocity:
         if self._odometry is not None:
             held_until_ns = self._odometry.stamp_ns + int(self._noise.max_hold_s * 1e9)
             held_s = max(0, min(stamp_ns, held_until_ns) - before_ns) * 1e-9
-        silent_s = min((stamp_ns - before_ns) * 1e-9 - held_s, _MAX_GAP_S)
+        silent_s = min((stamp_ns - before_ns) * 1e-9 - held_s, MAX_GAP_S)
         out = self._held(held_s) if held_s > 0.0 else STANDSTILL
         return out if silent_s <= 1e-9 else out.then(self._silent(silent_s))
 
@@ -173,7 +173,7 @@ class HeldVelocity:
             # white along the way: each part of it is carried to the end
             density = self._density(velocity) * self.scales[_OF_WHAT]
             parts = np.zeros((2, 3, 3))
-            for point in _GAUSS:
+            for point in GAUSS_POINTS:
                 to_end = _after(np.array(_arc(point * forward, point * left, point * turn)))
                 parts[0] += (to_end[:, :2] * density[:2]) @ to_end[:, :2].T
                 parts[1] += density[2] * to_end[:, 2:] * to_end[:, 2]

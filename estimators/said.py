@@ -9,15 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.config import MotionNoise
-from estimators.motion import Increment
+from estimators.motion import GAUSS_POINTS, MAX_GAP_S, MAX_PERIOD_S, Increment
 from fieldloc import pose as se2
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
-
-# as in estimators.motion
-_MAX_GAP_S = 60.0
-_MAX_PERIOD_S = 1.0
-_GAUSS = (0.5 + 0.5 / 3**0.5, 0.5 - 0.5 / 3**0.5)
 
 
 class Said:
@@ -45,7 +40,7 @@ class Said:
             elapsed_s = (due_ns - self._held[-1].stamp_ns) * 1e-9
             if elapsed_s < 0.0:
                 return
-            period_s = min(elapsed_s, _MAX_PERIOD_S) if elapsed_s > 0.0 else self._period_s[-1]
+            period_s = min(elapsed_s, MAX_PERIOD_S) if elapsed_s > 0.0 else self._period_s[-1]
         self._held.append(Odometry(due_ns, odometry.velocity, odometry.covariance))
         self._from_ns.append(max(due_ns, self.stamp_ns))
         self._period_s.append(period_s)
@@ -82,7 +77,7 @@ class Said:
         spread = se2.right_jacobian(tangent)
         density = _density(noise, velocity)
         parts = np.zeros((count, 2, 3, 3))
-        for point in _GAUSS:
+        for point in GAUSS_POINTS:
             to_end = se2.adjoint(se2.inverse(se2.exp(point * tangent)))
             parts[:, 0] += (to_end[:, :, :2] * density[:, None, :2]) @ np.swapaxes(to_end[:, :, :2], 1, 2)
             parts[:, 1] += (to_end[:, :, 2:] * density[:, None, 2:]) @ np.swapaxes(to_end[:, :, 2:], 1, 2)
@@ -95,7 +90,7 @@ class Said:
             stated[says_so] = known[which[says_so]]
             scale = np.where(period_s > 0.0, period_s, duration_s) * duration_s
             covariance[says_so] = ((spread @ stated @ np.swapaxes(spread, 1, 2)) * scale[:, None, None])[says_so]
-        silent_s = np.minimum(duration_s, _MAX_GAP_S)
+        silent_s = np.minimum(duration_s, MAX_GAP_S)
         position, heading = noise.silent_m_per_sqrt_s**2, noise.silent_rad_per_sqrt_s**2
         covariance[~held] = np.diag([position, position, heading]) * silent_s[~held, None, None]
         forward, left, turn = tangent.T
