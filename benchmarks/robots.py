@@ -19,13 +19,12 @@ from benchmarks.drawn_mounts import found_mount
 from benchmarks.drawn_robots import Drive, drawn_robot, drive
 from benchmarks.timing import table
 from estimators.base import Estimate
-from estimators.calibrated import calibrated
+from estimators.calibrated import calibrated, with_open_place
 from estimators.config import Config, Graph
 from estimators.mixture import MixtureFilter
 from estimators.motion import OdometryCalibration
 from estimators.sensor import SensorCalibration
 from estimators.smoother import Smoother
-from estimators.views import CALIBRATION
 from fieldloc import pose as se2
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.pose import FloatArray
@@ -98,8 +97,7 @@ def driven_by(duration_s: float, seed: int) -> Driven:
     quantities = (*robot.quantities, robot.late)
     extra, known = ahead.learned
     online, sigmas = extra[:-1], np.sqrt(np.diag(known))[:-1]  # less the compass
-    place = slice(CALIBRATION, CALIBRATION + 2)
-    sigmas[place] = np.minimum(np.hypot(sigmas[place], scanner.place_sigmas), priors[place])
+    sigmas = with_open_place(sigmas, priors[: len(sigmas)], scanner.place_sigmas)
     scans = [*scanner.distortion], [*scanner.distortion_sigmas]
     return Driven(
         _found(

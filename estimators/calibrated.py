@@ -12,6 +12,7 @@ from estimators.motion import OdometryCalibration
 from estimators.sensor import SensorCalibration
 from estimators.solution import Solution, global_means, global_sigmas
 from fieldloc.pose import FloatArray
+from fieldloc.scan_distortion import DistortionPrior
 
 TOLD_NOTHING = 0.9  # of the prior's sigma: more than this is left where a log says nothing of a quantity
 _NEXT_TIME = 0.1  # of the prior's sigma: a robot is not quite the same the next day
@@ -22,7 +23,7 @@ _UNITS = {"_rad_per_m": "rad/m", "_radps": "rad/s", "_mps": "m/s", "_rad": "rad"
 
 _NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields)
 
-Section = TypeVar("Section", Calibration, Sensor)
+Section = TypeVar("Section", Calibration, Sensor, DistortionPrior)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,7 @@ class Quantity:
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotCalibration:
     """quantities: in the order of estimators.solution. late: how late the robot does what its odometry says.
-    covariance: (8, 8) of the former.
+    covariance: (10, 10) of the former.
 
     disagreement: chi-square per degree of freedom of several logs about their common estimate, 1 where they agree as
     well as they claim to; where it is more, all sigmas are wider by its root. NaN for one log.
@@ -83,12 +84,12 @@ class RobotCalibration:
         """The settings with what is known now, each quantity a little less surely than it was estimated."""
         values = [quantity.value for quantity in self.quantities]
         sigmas = [quantity.next_sigma for quantity in self.quantities]
-        calibration = _known(config.calibration, values[:_ODOMETRY], sigmas[:_ODOMETRY])
+        calibration = known_section(config.calibration, values[:_ODOMETRY], sigmas[:_ODOMETRY])
         late = self.late
         return replace(
             config,
             calibration=replace(calibration, odometry_delay_s=late.value, odometry_delay_sigma_s=late.sigma),
-            sensor=_known(config.sensor, values[_ODOMETRY:], sigmas[_ODOMETRY:]),
+            sensor=known_section(config.sensor, values[_ODOMETRY:], sigmas[_ODOMETRY:]),
         )
 
 
@@ -118,10 +119,7 @@ def calibrated(
     whole[np.ix_(free, free)] = covariance * max(1.0, np.nan_to_num(disagreement))
     values = prior_mean.copy()
     values[free] = mean
-    sigmas = np.sqrt(np.diagonal(whole))
-    if place_sigmas is not None:
-        sigmas[_PLACE] = np.hypot(sigmas[_PLACE], place_sigmas)
-    sigmas = np.minimum(sigmas, prior_sigma)
+    sigmas = with_open_place(np.sqrt(np.diagonal(whole)), prior_sigma, place_sigmas)
     quantities = tuple(
         Quantity.found("calibration" if k < _ODOMETRY else "sensor", name, *numbers)
         for k, (name, *numbers) in enumerate(
@@ -129,6 +127,14 @@ def calibrated(
         )
     )
     return RobotCalibration(quantities, _late(solutions, quantities[_DELAY], config), whole, disagreement)
+
+
+def with_open_place(sigmas: FloatArray, prior_sigmas: FloatArray, place_sigmas: FloatArray | None) -> FloatArray:
+    """(n,) in the order of estimators.solution, wider by what is open (2,) of the eyes' place, up to the prior's."""
+    out = sigmas.copy()
+    if place_sigmas is not None:
+        out[_PLACE] = np.hypot(out[_PLACE], place_sigmas)
+    return np.minimum(out, prior_sigmas)
 
 
 def _likelihood(
@@ -156,6 +162,6 @@ def _late(solutions: Sequence[Solution], eyes: Quantity, config: Config) -> Quan
     return Quantity("calibration", "odometry_delay_s", value, sigma, prior.odometry_delay_sigma_s, gain, told)
 
 
-def _known(section: Section, values: Sequence[float], sigmas: Sequence[float]) -> Section:
+def known_section(section: Section, values: Sequence[float], sigmas: Sequence[float]) -> Section:
     """The sigmas come first in a section, then the values."""
     return type(section)(*sigmas, *values)

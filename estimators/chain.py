@@ -41,16 +41,16 @@ class Chain:
         return velocities(moved, by_calibration @ calibration, np.diff(self.stamps_ns).astype(np.float64) * 1e-9)
 
     def levers(self, calibration: FloatArray) -> FloatArray:
-        """(n, 3, 2) of the sensor's calibration at each node (estimators.sensor.lever): see estimators.solution."""
+        """(n, 3, 4) of the sensor's calibration at each node (estimators.sensor.lever): see estimators.solution."""
         return lever(self.velocities(calibration))
 
     def seen_from(self, poses: FloatArray, calibration: Sequence[float], sensor: Sequence[float]) -> FloatArray:
-        """(n, 3) where a sensor of that calibration (2,) was when it saw what it says at the nodes of those poses."""
+        """(n, 3) where a sensor of that calibration (4,) was when it saw what it says at the nodes of those poses."""
         return seen_from(poses, np.array(sensor), self.velocities(np.array(calibration)))
 
 
 def levers(stamps_ns: Sequence[int], motions: Sequence[Increment]) -> FloatArray:
-    """(n, 3, 2) as Chain.levers, by an odometry that is taken at its word."""
+    """(n, 3, 4) as Chain.levers, by an odometry that is taken at its word."""
     return Chain(tuple(stamps_ns), tuple(motions), (), np.zeros((0, 3))).levers(np.zeros(6))
 
 

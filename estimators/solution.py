@@ -1,14 +1,14 @@
 """What a solver of a chain gives back, and what solvers agree on: the numbers that a chain's factors are of.
 
 A solver is a function `solve(chain, config, near) -> Solution`. Beside the poses it solves for what is the same over
-the whole chain, `GLOBALS` numbers in this order: the odometry's calibration (6), the sensor's (2). Their priors have
+the whole chain, `GLOBALS` numbers in this order: the odometry's calibration (6), the sensor's (4). Their priors have
 the means `global_means` and the sigmas `global_sigmas`; a sigma of 0 takes the number at its mean. A compass' offset
 over time comes on top (estimators.compass_knots).
 
 * motion k between nodes k and k + 1: local(retract(before_from_after, by_calibration @ calibration),
   between(pose k, pose k + 1)), covariance + MOTION_FLOOR.
 * factor at node k: error(pose k), Jacobian by its tangent. One that is `by_sight` is about the pose that was seen
-  from, s = retract(pose k, lever @ sensor) with lever = chain.levers(calibration)[k], (3, 2), instead: its Jacobian by
+  from, s = retract(pose k, lever @ sensor) with lever = chain.levers(calibration)[k], (3, 4), instead: its Jacobian by
   the tangent of the pose is jacobian(s) @ adjoint(inverse(exp(lever @ sensor))), its Jacobian by the sensor's
   calibration is jacobian(s) @ right_jacobian(lever @ sensor) @ lever. Levers change with the odometry's calibration,
   as delays are a matter of how fast the robot really is: jacobian(s) @ right_jacobian(lever @ sensor) @ (change of

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldloc.covariance import propagate
 from fieldloc.pose import FloatArray
 
 _WIDEST_RAD = float(np.deg2rad(75.0))  # nothing measures depths beyond
@@ -92,16 +93,15 @@ class DistortionLearner:
         return np.asarray(np.sqrt(np.diagonal(self._covariance)))
 
     @property
-    def place_sigmas(self) -> FloatArray:
-        """(2,) by how much the sensor may seem to be ahead and to the left of where it is, metres, by what is not known
-        of its distortion: ranges that are too long are like a sensor too far back where all is seen ahead."""
-        moved = self._moved / max(self._seen, 1)
-        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", moved, self._covariance, moved)))
+    def place_covariance(self) -> FloatArray:
+        """(2, 2) of where the sensor seems to be beside where it is, in its frame, by what is not known of its
+        distortion: ranges that are too long are like a sensor too far back where all is seen ahead."""
+        return propagate(self._moved / max(self._seen, 1), self._covariance)
 
     def uncertainty(self, range_bearing: FloatArray) -> FloatArray:
         """(2n, 2n) covariance of ranges and bearings (n, 2) by what is not known of it."""
         by_mean = _by_mean(range_bearing)
-        return np.asarray(by_mean @ self._covariance @ by_mean.T)
+        return propagate(by_mean, self._covariance)
 
     def learn(self, range_bearing: FloatArray, error: FloatArray, precision: FloatArray) -> None:
         """range_bearing: (n, 2) with the present distortion removed; error (n, 2) by which the map says that it should

@@ -31,7 +31,7 @@ _ABOUT = np.diag([0.1, 0.1, 0.05]) ** 2  # m, m, rad: how well poses are known f
 class LearnedNoise:
     """Of the sensor that is mounted there (3,), from so many scans. log_sigmas: (3,) standard deviations of the
     logarithms of the shares own_range, own_bearing and shared_range. distortion_sigmas: (4,) of the distortion.
-    place_sigmas: (2,) metres that this leaves open of where the sensor is, ahead and to the left, in its own frame."""
+    place_sigmas: (2,) metres that this leaves open of where the sensor is, ahead and to the left of the robot."""
 
     robot_from_sensor: FloatArray
     noise: ScanNoise
@@ -113,7 +113,7 @@ class ScanNoises:
                 noise.log_sigmas,
                 distortion.distortion,
                 distortion.sigmas,
-                distortion.place_sigmas,
+                np.sqrt(np.diagonal(propagate(se2.rotation(np.frombuffer(mount)[2]), distortion.place_covariance))),
                 noise.count,
             )
             for mount, (noise, distortion) in self._learners.items()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.calibrated import Quantity, RobotCalibration, calibrated
+from estimators.calibrated import Quantity, RobotCalibration, calibrated, known_section
 from estimators.config import Config
 from estimators.sensor import seen_from
 from estimators.smoother import Smoother
@@ -18,7 +18,7 @@ from fieldloc.measurements import ImageFeatures
 from fieldloc.mount_correction import PARTS, MountCorrection
 from fieldloc.mount_fit import MountFit, fit_mount
 from fieldloc.pose import FloatArray
-from fieldloc.scan_distortion import DistortionPrior, ScanDistortion
+from fieldloc.scan_distortion import ScanDistortion
 from fieldloc.scan_noises import LearnedNoise
 from logs.atomic import atomic_text
 from logs.progress import Progress, unwatched
@@ -51,7 +51,8 @@ class CalibratedRobot:
         """The settings with what is known now."""
         known = self.robot.settings(config)
         if self.scans:
-            known = replace(known, scan_distortion=_distortion(self.scans))
+            values, sigmas = zip(*((one.value, one.next_sigma) for one in self.scans), strict=True)
+            known = replace(known, scan_distortion=known_section(config.scan_distortion, values, sigmas))
         if not self.mount:
             return known
         return replace(known, mount=_mount(self.mount, self.wobble))
@@ -99,14 +100,14 @@ def calibrate_recordings(
     for recording in whole:
         solved.append(_solved(recording, learned, start, progress))
         learned = _learned(learned, solved[-1].sensors)
+    scanning = solved[-1].sensors
+    place = scanning[0].place_sigmas if len(scanning) == 1 else None
     fit = _fitted(solved, whole, config, progress)
     if fit is not None:
         # found with the camera where it was thought to be, poses lean that way and hide a part of its error
         mount = _mount(_quantities(fit, config), tuple(fit.wobble.tolist()))
-        solved = [_solved(recording, replace(learned, mount=mount), start, progress) for recording in whole]
+        solved = [_solved(recording, replace(config, mount=mount), start, progress) for recording in whole]
         fit = _fitted(solved, whole, config, progress)
-    scanning = solved[-1].sensors
-    place = scanning[0].place_sigmas if len(scanning) == 1 else None
     robot = calibrated([one.solution for one in solved], config, place)
     quantities = () if fit is None else _quantities(fit, config)
     wobble = () if fit is None else tuple(fit.wobble.tolist())
@@ -122,7 +123,7 @@ def _learned(config: Config, sensors: Sequence[LearnedNoise]) -> Config:
         return config
     (one,) = sensors
     sigmas = np.minimum(one.distortion_sigmas, config.scan_distortion.sigmas()).tolist()
-    return replace(config, scan_distortion=DistortionPrior(*[*sigmas, *one.distortion]))
+    return replace(config, scan_distortion=known_section(config.scan_distortion, one.distortion, sigmas))
 
 
 def _scans(before: Config, learned: Config) -> tuple[Quantity, ...]:
@@ -132,11 +133,6 @@ def _scans(before: Config, learned: Config) -> tuple[Quantity, ...]:
     numbers = (prior.means(), found.means(), found.sigmas(), prior.sigmas())
     every = zip(ScanDistortion._fields, *(each.tolist() for each in numbers), strict=True)
     return tuple(Quantity.found("scan_distortion", name, *each) for name, *each in every)
-
-
-def _distortion(quantities: Sequence[Quantity]) -> DistortionPrior:
-    values = {one.name: one.value for one in quantities}
-    return DistortionPrior(**{f"{one.name}_sigma": one.next_sigma for one in quantities}, **values)
 
 
 def _solved(recording: Recording, config: Config, start: FloatArray | str | None, progress: Progress) -> _Solved:

@@ -111,7 +111,7 @@ def sights(
 ) -> tuple[FloatArray, FloatArray]:
     """As Linearised.sights; the change with the columns of by_calibration (n - 1, 3, c) and the sensor's free ones.
 
-    still: (3, 2) lever of a robot that does not move; by_velocity: (3, 3, 2) its change with the velocity.
+    still: (3, 4) lever of a robot that does not move; by_velocity: (3, 3, 4) its change with the velocity.
     """
     count, c = len(moved) + 1, by_calibration.shape[2]
     turned, by_common = np.zeros((count, 3)), np.zeros((count, 3, c + len(free)))
