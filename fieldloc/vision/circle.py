@@ -2,18 +2,18 @@
 
 It is sought before the lines, as its arcs, taken for lines, are the commonest wrong line. An ellipse is fitted to each
 of the longest bent chains and to each two of them; the one that explains most of all chains is fitted again to those.
-The fit is the direct least squares one that is always an ellipse (Fitzgibbon, Pilu, Fisher 1999, in the stable form of
-Halir and Flusser 1998), each point weighted by the inverse gradient of the conic, so that it counts by its distance.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.pose import FloatArray
+from fieldloc.vision.ellipse import PARTS, Ellipse, fit_ellipse, fit_ellipses, on_rim, parts_of
 from fieldloc.vision.turf import Mask
 
 View = Callable[
@@ -24,7 +24,6 @@ _ARCS, _CORNERED = 3, 1  # the longest bent chains that are tried, alone and in 
 _LEAST_SAGITTA_PX = 1.5  # of a bent chain
 _NEAR_PX = 1.5  # from the ellipse is on it, beside the next share of the line's width
 _NEAR_SHARE = 0.15
-_BINS = 48  # of the ellipse's angle
 _LEAST_SEEN = 0.25  # share of the visible bins that are explained
 _LEAST_BINS = 7
 _WINDOW = 8  # points at least of a part of a chain whose bend is compared with the ellipse's
@@ -34,76 +33,7 @@ _BENT, _BENT_MEASURED, _BENT_SHORT = 0.5, 0.75, 0.6
 _MANY, _FLOOR_PX = 99, 0.05  # windows of what was measured, and the least bend that it tells
 _THINNEST = 2.0  # the shorter semi-axis to how near is on the ellipse: a thinner one might be a straight line
 _LARGEST_PX = 1e4  # semi-axis
-_CONSTRAINED = np.array([[0.0, 0.0, 0.5], [0.0, -1.0, 0.0], [0.5, 0.0, 0.0]])  # inverse of 4 a c - b^2 as a matrix
 _BESIDE = 0.1  # share of the ellipse in the picture that may be above the field's border
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Ellipse:
-    """conic: (6,) a..f of a x^2 + b x y + c y^2 + d x + e y + f = 0 in x, y = (point - origin) / scale."""
-
-    conic: FloatArray
-    origin: FloatArray
-    scale: float
-
-    def distance(self, points: FloatArray) -> FloatArray:
-        """(n,) from the ellipse, positive outside, to first order (Sampson)."""
-        value, across, down = self._value(points)
-        return np.asarray(self.scale * value / np.maximum(np.hypot(across, down), 1e-9))
-
-    def weights(self, points: FloatArray) -> FloatArray:
-        _, across, down = self._value(points)
-        return np.asarray(1.0 / np.maximum(np.hypot(across, down), 1e-9))
-
-    def normals(self, points: FloatArray) -> FloatArray:
-        """(n, 2) unit vectors outwards."""
-        _, across, down = self._value(points)
-        return np.asarray((np.stack([across, down]) / np.maximum(np.hypot(across, down), 1e-9)).T)
-
-    def axes(self) -> tuple[FloatArray, FloatArray]:
-        """Centre (2,) and semi-axes (2, 2), each a row, the longer first."""
-        a, b, c, d, e, f = self.conic
-        quadratic = np.array([[a, 0.5 * b], [0.5 * b, c]])
-        centre = -0.5 * np.linalg.solve(quadratic, np.array([d, e]))
-        level = centre @ quadratic @ centre - f
-        values, vectors = np.linalg.eigh(quadratic / level)
-        lengths = self.scale / np.sqrt(np.maximum(values, 1e-18))
-        return centre * self.scale + self.origin, np.asarray(vectors.T * lengths[:, None])
-
-    def _value(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The conic at points (n, 2) and its change across and down; (n,) each."""
-        x, y = (points.T - self.origin[:, None]) / self.scale
-        a, b, c, d, e, f = self.conic.tolist()
-        slanted = b * x + c * y
-        return (a * x + b * y + d) * x + (c * y + e) * y + f, 2.0 * a * x + b * y + d, slanted + c * y + e
-
-
-def fit_ellipse(points: FloatArray, weights: FloatArray | None = None) -> Ellipse | None:
-    """The ellipse through at least six points (n, 2); None where they fix none. Positive outside."""
-    if len(points) < 6:
-        return None
-    origin = points.sum(axis=0) / len(points)
-    away = points.T - origin[:, None]
-    scale = float(np.abs(away).max()) or 1.0
-    rows = np.ones((6, len(points)))
-    rows[3:5] = x, y = away / scale
-    rows[0], rows[1], rows[2] = x * x, x * y, y * y
-    if weights is not None:
-        rows *= weights
-    products = rows @ rows.T
-    scatter, mixed, low = products[:3, :3], products[:3, 3:], products[3:, 3:]
-    try:
-        back = -np.linalg.solve(low, mixed.T)
-        _, vectors = np.linalg.eig(_CONSTRAINED @ (scatter + mixed @ back))
-    except np.linalg.LinAlgError:
-        return None
-    vectors = np.real(vectors)
-    good = 4.0 * vectors[0] * vectors[2] - vectors[1] ** 2
-    best = int(np.argmax(good))
-    if not good[best] > 0.0:
-        return None
-    top = vectors[:, best] * np.sign(vectors[0, best])
-    return Ellipse(np.concatenate([top, back @ top]), origin, scale)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,27 +60,25 @@ def find_ellipse(chains: list[FloatArray], view: View) -> tuple[Ellipse, list[Ma
         return None
     windows = _windows(chains)
     points, near = windows.points, windows.near_px
+    choices = [some for count in (1, 2) for some in combinations(range(len(arcs)), count)]
+    starts = [start for start in fit_ellipses([arc[:, :2] for arc in arcs], choices) if start is not None]
     tried = []
-    for first in range(len(arcs)):
-        for second in range(first, len(arcs)):
-            chosen = arcs[first] if first == second else np.concatenate([arcs[first], arcs[second]])
-            fitted = fit_ellipse(chosen[:, :2])
-            if fitted is not None:
-                tried.append((np.abs(fitted.distance(points)) < near, fitted))
+    for start in starts:
+        off, weights = start.beside(points)
+        tried.append((np.abs(off) < near, weights))
     tried.sort(key=lambda one: np.count_nonzero(one[0]), reverse=True)
     best, most = None, 0
     done = np.zeros(len(points), dtype=np.bool_)  # on what has been refined: nothing new comes from there
-    for on, start in tried:
+    for on, weights in tried:
         if np.count_nonzero(on & ~done) < 0.5 * np.count_nonzero(on):
             continue
-        ellipse = start
         for _ in range(4):
-            refined = fit_ellipse(points[on], ellipse.weights(points[on]))
-            if refined is None:
+            ellipse = fit_ellipse(points[on], weights[on])
+            if ellipse is None:
                 break
-            before = on
-            ellipse, on = refined, np.abs(refined.distance(points)) < near
-            count = _explained(ellipse, windows)
+            before, (off, weights) = on, ellipse.beside(points)
+            on = np.abs(off) < near
+            count = _explained(ellipse, off, windows)
             if count > most and is_seen(ellipse, points[on], near[on], view):
                 best, most = ellipse, count
             if (on == before).all():
@@ -174,7 +102,11 @@ def is_round(ellipse: Ellipse, chains: list[FloatArray]) -> bool:
         return False
     # Between the corners at its ends, a straight line is straight in many short windows.
     long, short = _windows(chains), _windows(chains, _MANY)
-    return _explained(ellipse, long, _BENT_MEASURED) > 0 and _explained(ellipse, short, _BENT_SHORT, _FLOOR_PX) > 0
+    off = ellipse.distance(long.points)
+    return (
+        _explained(ellipse, off, long, _BENT_MEASURED) > 0
+        and _explained(ellipse, off, short, _BENT_SHORT, _FLOOR_PX) > 0
+    )
 
 
 def _count_of(points: int, most: int = 3) -> int:
@@ -205,11 +137,12 @@ def _windows(chains: list[FloatArray], most: int = 3) -> _Windows:
     return _Windows(points, _NEAR_PX + _NEAR_SHARE * table[:, 2], begins, size, bow, bend, sigma)
 
 
-def _explained(ellipse: Ellipse, windows: _Windows, least: float = _BENT, least_px: float = _LEAST_BEND_PX) -> int:
+def _explained(
+    ellipse: Ellipse, off: FloatArray, windows: _Windows, least: float = _BENT, least_px: float = _LEAST_BEND_PX
+) -> int:
     """How many points are in windows on the ellipse; none where these are bent too little for it, as straight lines are
-    that it runs along.
+    that it runs along. off: (n,) of the points from the ellipse.
     """
-    off = ellipse.distance(windows.points)
     on = np.add.reduceat((np.abs(off) < windows.near_px).astype(np.float64), windows.begins) > 0.8 * windows.sizes
     on &= windows.sizes >= _WINDOW
     middle = windows.begins + windows.sizes // 2
@@ -277,25 +210,10 @@ def is_seen(ellipse: Ellipse, on: FloatArray, near: FloatArray, view: View) -> b
     long, short = np.hypot(axes[:, 0], axes[:, 1])
     if not (np.isfinite([long, short]).all() and short > _THINNEST * near.mean() and long < _LARGEST_PX):
         return False
-    rim, _ = on_rim(centre, axes, np.arange(_BINS) / _BINS)
+    rim, _ = on_rim(centre, axes, np.arange(PARTS) / PARTS)
     in_picture, on_field = view(rim)
     if np.count_nonzero(in_picture & ~on_field) > _BESIDE * np.count_nonzero(in_picture):
         return False
-    explained = np.bincount(bins_of(centre, axes, on), minlength=_BINS) > 0
+    explained = np.bincount(parts_of(centre, axes, on), minlength=PARTS) > 0
     count = np.count_nonzero(explained & in_picture)
     return bool(count >= max(_LEAST_BINS, _LEAST_SEEN * np.count_nonzero(in_picture)))
-
-
-def on_rim(centre: FloatArray, axes: FloatArray, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) of the ellipse at turns (n,) of its own angle, 0 to 1, and the unit normals there, outwards."""
-    angle = 2.0 * np.pi * turns[:, None]
-    normals = np.cos(angle) * axes[0] / (axes[0] @ axes[0]) + np.sin(angle) * axes[1] / (axes[1] @ axes[1])
-    normals /= np.hypot(normals[:, :1], normals[:, 1:])
-    return centre + np.cos(angle) * axes[0] + np.sin(angle) * axes[1], normals
-
-
-def bins_of(centre: FloatArray, axes: FloatArray, points: FloatArray) -> NDArray[np.intp]:
-    """(n,) which of the equal parts of the ellipse's own angle points (n, 2) are nearest to the middle of."""
-    relative = points - centre
-    angle = np.arctan2(relative @ axes[1] / (axes[1] @ axes[1]), relative @ axes[0] / (axes[0] @ axes[0]))
-    return np.asarray(np.rint(angle / (2.0 * np.pi) * _BINS).astype(np.intp) % _BINS)

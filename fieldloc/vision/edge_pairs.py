@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from fieldloc.pose import FloatArray
-from fieldloc.vision.circle import Ellipse
+from fieldloc.vision.ellipse import Ellipse
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.segments import Segments
 from fieldloc.vision.settings import VisionSettings

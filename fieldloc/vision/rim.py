@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.pose import FloatArray
-from fieldloc.vision.circle import Ellipse, bins_of, fit_ellipse, is_round, on_rim
+from fieldloc.vision.circle import is_round
 from fieldloc.vision.detections import SeenCircle
+from fieldloc.vision.ellipse import PARTS, Ellipse, fit_ellipse, on_rim, parts_of
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.profiles import measure
 from fieldloc.vision.settings import VisionSettings
@@ -15,23 +16,22 @@ from fieldloc.vision.turf import Mask, Turf
 
 _SPACING_PX = 4.0  # of the points along the circle
 _FEWEST, _MOST = 24, 128  # points all around
-_BINS = 48
 _FARTHER = 2  # parts beyond those with runs that are measured, too
 _OUTLIER = 3.5  # robust standard deviations from the ellipse
 _LEAST_OUTLIER_PX = 0.7  # the middle between a circle's edges in perspective is not quite an ellipse
 _FLOOR_PX = 0.03  # of a point: what interpolation between pixels errs by
 _LEAST_SHARE = 0.5  # of the points where there are runs have to be on the ellipse: things stand before parts of it
-_NEIGHBOURS = (np.arange(_BINS)[:, None] + np.arange(-_FARTHER, _FARTHER + 1)) % _BINS
+_NEIGHBOURS = (np.arange(PARTS)[:, None] + np.arange(-_FARTHER, _FARTHER + 1)) % PARTS
 _LEAST_ACROSS_PX = 1.5  # standard deviation of the points to either side of a straight line
 _AROUND = 9  # neighbours that tell a point's standard deviation
 
 
 def _part(turns: FloatArray) -> NDArray[np.intp]:
     """Which of the equal parts of the ellipse's angle turns (n,) are nearest to the middle of."""
-    return np.asarray(np.rint(turns * _BINS).astype(np.intp) % _BINS)
+    return np.asarray(np.rint(turns * PARTS).astype(np.intp) % PARTS)
 
 
-_TURNS = (np.arange(8 * _BINS) + 0.5) / (8 * _BINS)
+_TURNS = (np.arange(8 * PARTS) + 0.5) / (8 * PARTS)
 _COS, _SIN, _PARTS = np.cos(2.0 * np.pi * _TURNS)[:, None], np.sin(2.0 * np.pi * _TURNS)[:, None], _part(_TURNS)
 
 
@@ -55,9 +55,9 @@ def trace(
         there, widths = _widths(centre, axes, on)
         turns, part = _evenly(centre, axes, spacing_px, np.isfinite(widths))
         points, normals = on_rim(centre, axes, turns)
-        widths = widths[part] * np.abs(normals).max(axis=1)
         pixels, across, zoom = plane.normals_in_picture(points, normals)
-        found = measure(grey, pixels, across, widths * zoom)
+        in_picture = zoom * np.abs(normals).max(axis=1)  # of a width along a scan line: that across in the picture
+        found = measure(grey, pixels, across, widths[part] * in_picture)
         good = found.good & (found.step > 0.6 * settings.least_contrast)
         middles = points + (found.middle_px / zoom)[:, None] * normals
         fitted = None
@@ -71,6 +71,8 @@ def trace(
             good &= np.abs(off) < max(_OUTLIER * spread, _LEAST_OUTLIER_PX)
         if np.count_nonzero(good & there[part]) < max(_FEWEST // 2, _LEAST_SHARE * np.count_nonzero(there[part])):
             return None
+        # In glare a run may be but the whitest part of the line: what was measured near by is its width.
+        on = np.column_stack([middles, found.width_px / in_picture])[good]
     # Measured to a fraction of a pixel, two straight lines that run along an ellipse are straight.
     if not bent and not _is_round(ellipse, middles, good):
         return None
@@ -108,8 +110,8 @@ def _widths(centre: FloatArray, axes: FloatArray, on: FloatArray) -> tuple[Mask,
     """Per part of the ellipse's angle whether there are runs, and their mean width; in the parts next to those with
     runs that of their neighbours, as the line goes on there where it crosses another; NaN elsewhere.
     """
-    part = bins_of(centre, axes, on[:, :2])
-    both = np.stack([np.bincount(part, weights=on[:, 2], minlength=_BINS), np.bincount(part, minlength=_BINS)])
+    part = parts_of(centre, axes, on[:, :2])
+    both = np.stack([np.bincount(part, weights=on[:, 2], minlength=PARTS), np.bincount(part, minlength=PARTS)])
     there = both[1] > 0
     total, count = np.where(there, both, both[:, _NEIGHBOURS].sum(axis=2))
     return there, np.where(count > 0, total / np.maximum(count, 1.0), np.nan)

@@ -69,8 +69,9 @@ def find_runs(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> tupl
     height, width = picture.shape[:2]
     if turf.boundary_px is None:
         return _NONE, _NONE
-    # Nothing above the field's border is looked at.
-    above = max(0, int(turf.boundary_px[:, 1].min() / turf.scale[1]) - 2)
+    # Nothing above the field's border is looked at. What is left goes evenly into all the grids of common pictures:
+    # OpenCV averages whole pixels many times faster than parts of them.
+    above = max(0, int(turf.boundary_px[:, 1].min() / turf.scale[1]) - 2) // SCAN_STEP_PX * SCAN_STEP_PX
     top = round(above * turf.scale[1])
     below = picture[top:]
     grey = grey_of(below, turf)
@@ -112,17 +113,21 @@ def _around(grey: UInt8Array, mask: UInt8Array, window: int) -> tuple[Single, Si
     255 and 0 where that is nothing: no pixel exceeds it. On a grid twice as coarse.
     """
     size = max(1, grey.shape[1] // 2), max(1, grey.shape[0] // 2)
+    # In 256ths, as whole numbers would be too coarse: the mean of four pixels is rounded up by an eighth on average,
+    # which takes 40 from the variance of turf as bright as 150.
     masked = cv2.bitwise_and(grey, mask)
     share, mean, square = (
         np.asarray(
             cv2.boxFilter(cv2.resize(part, size, interpolation=cv2.INTER_AREA), cv2.CV_32F, (window, window)),
             np.float32,
         )
-        for part in (mask, masked, np.multiply(masked, masked, dtype=np.uint16))
+        for part in (
+            np.multiply(one, by, dtype=np.uint16) for one, by in ((mask, 256), (masked, 256), (masked, masked))
+        )
     )
-    share *= np.float32(1.0 / 255.0)
+    share *= np.float32(1.0 / (255.0 * 256.0))
     count = share + np.float32(1e-3)
-    mean /= count
+    mean /= np.float32(256.0) * count
     square /= count
     square -= mean * mean
     spread = np.sqrt(np.maximum(square, np.float32(0.0), out=square), out=square)
