@@ -1,5 +1,7 @@
 """Jacobians of locate's residuals, its attitudes and its priors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from seen_scenes import NAO, Look, Scene
@@ -9,17 +11,14 @@ from fieldloc.field import load_field
 from fieldloc.ground import robot_from_camera
 from fieldloc.locate import CameraPrior, LocateSettings
 from fieldloc.locate.attitude import attitudes
-from fieldloc.locate.errors import (
-    Cameras,
-    circle_errors,
-    circle_jacobians,
-    line_errors,
-    post_errors,
-    post_jacobians,
-)
-from fieldloc.locate.matching import Noise, match
+from fieldloc.locate.cameras import ERROR, FOCAL, Cameras
+from fieldloc.locate.circle_errors import circle_errors, circle_rows
+from fieldloc.locate.line_errors import line_rows
+from fieldloc.locate.matching import match
+from fieldloc.locate.noise import Noise
+from fieldloc.locate.post_errors import post_errors, post_rows
 from fieldloc.locate.shape import shape_of
-from fieldloc.locate.sight import sight_of
+from fieldloc.locate.sight import Sight, sight_of
 from fieldloc.locate.states import rotations, turn_axes
 from fieldloc.measurements import CameraMount
 from fieldloc.pose import FloatArray
@@ -56,23 +55,49 @@ def test_jacobians_are_those_of_the_errors(look: Look) -> None:
     def at(state: FloatArray) -> Cameras:
         return Cameras.at(state[None], sight, SHAPE)
 
-    matches = match(at(state), Noise(sight, SHAPE, LocateSettings(), 0.0, np.ones(1)))
+    matches = match(at(state), Noise(sight, SHAPE, LocateSettings()))
     assert (matches.lines >= 0).sum() > 2
     lines = np.maximum(matches.lines, 0)
-    exact = line_errors(at(state), lines)[1].reshape(-1, 7)[:, :6]  # of ends and of widths
-    numeric = central_difference(lambda s: line_errors(at(s), lines)[0].ravel(), state)
+    exact = line_rows(at(state), lines)[0].reshape(-1, 8)[:, :6]  # of ends and of widths
+    numeric = central_difference(lambda s: line_rows(at(s), lines)[0][..., ERROR].ravel(), state)
     known = np.stack([np.ones_like(sight.widths), np.isfinite(sight.widths)], axis=1).ravel() > 0.0
     np.testing.assert_allclose(exact[known], numeric[known], atol=1e-2)  # of up to a thousand px
     if len(sight.post_rays):
-        posts = np.maximum(matches.posts, 0)[..., None]
-        numeric = central_difference(lambda s: post_errors(at(s), posts)[0].ravel(), state)
-        exact = post_jacobians(at(state), posts).reshape(-1, 7)[:, :6]
-        np.testing.assert_allclose(exact, numeric, atol=5.0)  # a foot's place on the post turns with the camera's
+        posts = np.maximum(matches.posts, 0)
+        rows = post_rows(at(state), posts)
+        numeric = central_difference(lambda s: post_rows(at(s), posts)[..., ERROR].ravel(), state)
+        # a foot's place on the post turns with the camera's
+        np.testing.assert_allclose(rows[..., :6].reshape(-1, 6), numeric, atol=5.0)
+        np.testing.assert_array_equal(rows[..., ERROR], post_errors(at(state), posts[..., None])[0][:, :, 0])
     if len(sight.circle_rays):
         circle = SHAPE.circles[0]
+        rows = circle_rows(at(state), circle)[0]
         numeric = central_difference(lambda s: circle_errors(at(s), circle)[0].ravel(), state)
-        exact = circle_jacobians(at(state), circle).reshape(-1, 7)[:, :6]
-        np.testing.assert_allclose(exact, numeric, atol=0.05)
+        np.testing.assert_allclose(rows[0, :, :6], numeric, atol=0.05)
+        np.testing.assert_array_equal(rows[..., ERROR], circle_errors(at(state), circle)[0])
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_a_longer_focal_length_moves_all_that_is_seen_outwards(look: Look) -> None:
+    longer = 1e-4
+    seen = Scene(NAO, FIELD, np.random.default_rng(0), 1e-4).seen(look)
+    sight = sight_of(seen, NAO)
+    focal_px = NAO.fx_px * (1.0 + longer)
+    other = sight_of(seen, replace(NAO, fx_px=focal_px, fy_px=focal_px))  # the same pixels: should be farther out
+    state = state_of(look)[None]
+    matches = match(Cameras.at(state, sight, SHAPE), Noise(sight, SHAPE, LocateSettings()))
+    lines, posts = np.maximum(matches.lines, 0), np.maximum(matches.posts, 0)
+
+    def rows(sight: Sight) -> list[FloatArray]:
+        cameras = Cameras.at(state, sight, SHAPE)
+        ends = line_rows(cameras, lines)[0][:, :, 0]
+        edges = [post_rows(cameras, posts)] if posts.size else []
+        return [ends, *edges, *([circle_rows(cameras, SHAPE.circles[0])[0]] if len(sight.circle_rays) else [])]
+
+    for before, after in zip(rows(sight), rows(other), strict=True):
+        used = before[..., FOCAL] != 0.0
+        change = (after - before)[..., ERROR] / longer
+        np.testing.assert_allclose(change[used], before[..., FOCAL][used], rtol=0.02, atol=2.0)
 
 
 @pytest.mark.parametrize("look", LOOKS)

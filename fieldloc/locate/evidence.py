@@ -3,7 +3,7 @@
 import numpy as np
 
 from fieldloc.lens import Mask
-from fieldloc.locate.errors import Cameras
+from fieldloc.locate.cameras import Cameras
 from fieldloc.locate.matching import Matches
 from fieldloc.locate.settings import LocateSettings
 from fieldloc.locate.shape import Shape

@@ -4,20 +4,21 @@ What is none of the map's is anywhere: a line's two ends across it anywhere in t
 So gains of different things add up and compare, and a gain below zero is no match.
 """
 
+import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldloc.locate.errors import Cameras, IntArray, circle_errors, post_errors
-from fieldloc.locate.settings import LocateSettings
-from fieldloc.locate.shape import Shape
-from fieldloc.locate.sight import Sight
+from fieldloc.locate.cameras import Cameras, IntArray
+from fieldloc.locate.circle_errors import circle_errors
+from fieldloc.locate.line_errors import Lines
+from fieldloc.locate.noise import Noise
+from fieldloc.locate.post_errors import post_errors
 from fieldloc.pose import FloatArray
 
 ARC = -2  # the match of a line that is a piece of a circle: explained, but of no use
-_LOG_2PI = float(np.log(2.0 * np.pi))
+_LOG_2PI = math.log(2.0 * math.pi)
 _NEAR_PX = 40.0  # what is farther off is not that line, however bad the map
 _OVER_M, _OVER_PX = 0.08, 4.0  # by how much an end is found beyond the line's
 _WIDTH_PX, _WIDTH = 1.0, 0.2  # how far off a line's width may be: blur, and lines laid by hand
@@ -76,53 +77,6 @@ class Matches:
         return np.asarray(self.line_gains.sum(axis=1) + self.post_gains.sum(axis=1) + self.circle_gains)
 
 
-@dataclass(frozen=True)
-class Noise:
-    """widen_px: how much farther off everything may be than noise makes it, while states are still rough.
-    scale: (k,) of the model's noise, as a variance, or (1,) for all."""
-
-    sight: Sight
-    shape: Shape
-    settings: LocateSettings
-    widen_px: float
-    scale: FloatArray
-
-    @cached_property
-    def _post_px2(self) -> FloatArray:
-        """(k, p): of one edge, from the model alone."""
-        diameter = 2.0 * float(np.mean(self.shape.radii)) if len(self.shape.radii) else 0.1
-        map_px = self.settings.map_m * self.sight.post_widths / diameter
-        return self._of(map_px[None])
-
-    def _of(self, map_px: FloatArray) -> FloatArray:
-        scale = self.scale.reshape(-1, *(1,) * (map_px.ndim - 1))
-        return np.asarray(scale * (self.settings.model_px**2 + map_px**2) + self.widen_px**2)
-
-    def of_lines(self, px_per_m: FloatArray) -> FloatArray:
-        """(k, l, 2, ...) px^2 of the model alone."""
-        return self._of(self.settings.map_m * px_per_m)
-
-    def at(self, rows: IntArray, px_per_m: FloatArray) -> FloatArray:
-        """(n, 2) px^2 of the model alone, of states (n,)."""
-        scale = self.scale[rows, None] if len(self.scale) > 1 else self.scale
-        map_px = self.settings.map_m * px_per_m
-        return np.asarray(scale * (self.settings.model_px**2 + map_px * map_px) + self.widen_px**2)
-
-    def of_circle(self, px_per_m: FloatArray) -> FloatArray:
-        return np.asarray(self._of(self.settings.map_m * px_per_m) + self.sight.circle_sigmas**2)
-
-    @cached_property
-    def whitening_of_posts(self) -> FloatArray:
-        """(k, p, 6, 6) makes white noise of a post's six numbers; those of a foot that is not seen are left as zero."""
-        sight = self.sight
-        model = self._post_px2
-        out = np.zeros((*model.shape, 6, 6))
-        out[..., :4, :4] = sight.post_noise + model[..., None, None] * np.eye(4)
-        foot = sight.feet.noise + model[..., None, None] * np.eye(2)
-        out[..., 4:, 4:] = np.where(sight.feet.known[:, None, None], foot, np.eye(2))
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(out)))
-
-
 def match(cameras: Cameras, noise: Noise) -> Matches:
     lines, line_gains = _match_lines(cameras, noise)
     posts, post_gains = _match_posts(cameras, noise)
@@ -135,7 +89,7 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     count, lines = len(cameras.states), len(sight.line_rays)
     if not lines or not len(shape.starts):
         return np.full((count, lines), -1), np.zeros((count, lines))
-    seen = cameras.lines
+    seen = Lines.of(cameras)
     below = seen.down > 1e-3
     before = below[:, :, 0] & below[:, :, 1]
     down = np.maximum(seen.down, 1e-3)
@@ -147,24 +101,25 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     row, column, mark = np.nonzero(near[:, :, 0] & near[:, :, 1] & before[..., None])
     slope = seen.slope[row, column, :, mark]
     px_per_m = np.abs(seen.down[row, column] / slope)
-    variance = noise.at(row, px_per_m) + sight.line_noise.diagonal(axis1=1, axis2=2)[column]
+    variance = noise.at(row, px_per_m) + sight.line_variances[column]
     together = sight.line_noise[column, 0, 1]
     determinant = variance[:, 0] * variance[:, 1] - together * together
     first, second = (seen.off[row, column, :, mark] / slope).T
     misfit = (variance[:, 1] * first - 2.0 * together * second) * first + variance[:, 0] * second * second
-    along = (ground @ shape.directions.T)[row, column, :, mark] - shape.starts_along[mark, None]
+    along = (ground[row, column] @ shape.directions[mark, :, None])[..., 0] - shape.starts_along[mark, None]
     over = np.maximum(np.maximum(-along, along - shape.lengths[mark, None]), 0.0)
     over /= _OVER_M + (_OVER_PX + noise.widen_px) * m_per_px[row, column]
     off = misfit / determinant + over[:, 0] * over[:, 0] + over[:, 1] * over[:, 1]
     gain = np.full((count, lines, len(shape.starts)), -np.inf)
     gain[row, column, mark] = -0.5 * (off + np.log(determinant)) - _LOG_2PI
     best = gain.argmax(axis=2)
-    log_clutter = -2.0 * np.log(sight.camera.height_px)
-    log_odds = np.log((1.0 - settings.false_line) / settings.false_line) - np.log(len(shape.starts))
-    slope = seen.slope[np.arange(count)[:, None], np.arange(lines), :, best]
-    gains = gain.max(axis=2) - log_clutter + log_odds + _widths_fit(noise, np.abs(seen.down / slope))
+    log_clutter = -2.0 * math.log(sight.camera.height_px)
+    log_odds = math.log((1.0 - settings.false_line) / settings.false_line) - math.log(len(shape.starts))
+    rows, columns = np.arange(count)[:, None], np.arange(lines)
+    slope = seen.slope[rows, columns, :, best]
+    gains = gain[rows, columns, best] + (log_odds - log_clutter) + _widths_fit(noise, np.abs(seen.down / slope))
     best, gains = np.where(gains > 0.0, best, -1), np.maximum(gains, 0.0)
-    arc = _arcs_fit(noise, ground, m_per_px) - log_clutter + log_odds
+    arc = _arcs_fit(noise, ground, m_per_px) + (log_odds - log_clutter)
     is_arc = before & (arc > gains)
     return np.where(is_arc, ARC, best), np.where(is_arc, arc, gains)
 
@@ -172,13 +127,17 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
 def _arcs_fit(noise: Noise, ground: FloatArray, m_per_px: FloatArray) -> FloatArray:
     """(k, l) log density of both ends (k, l, 2, 2) of lines that are short pieces of one of the circles."""
     out = np.full(ground.shape[:2], -np.inf)
-    chord = np.hypot(ground[:, :, 1, 0] - ground[:, :, 0, 0], ground[:, :, 1, 1] - ground[:, :, 0, 1])
+    if not len(noise.shape.circles):
+        return out
+    apart = ground[:, :, 1] - ground[:, :, 0]
+    chord2 = apart[..., 0] * apart[..., 0] + apart[..., 1] * apart[..., 1]
     sigma_px = _ARC_PX + noise.widen_px
+    log_norm = -2.0 * math.log(sigma_px) - _LOG_2PI
+    sigma = sigma_px * m_per_px + noise.settings.map_m
     for x, y, radius in noise.shape.circles:
-        away = np.hypot(ground[..., 0] - x, ground[..., 1] - y) - radius
-        off = away / (sigma_px * m_per_px + noise.settings.map_m)
-        log_density = -0.5 * (off * off).sum(axis=2) - 2.0 * np.log(sigma_px) - _LOG_2PI
-        out = np.maximum(out, np.where(chord < radius, log_density, -np.inf))
+        off = (np.hypot(ground[..., 0] - x, ground[..., 1] - y) - radius) / sigma
+        log_density = log_norm - 0.5 * (off * off).sum(axis=2)
+        out = np.maximum(out, np.where(chord2 < radius * radius, log_density, -np.inf))
     return out
 
 
@@ -187,14 +146,20 @@ def _widths_fit(noise: Noise, px_per_m: FloatArray) -> FloatArray:
     any width; zero where they are not known."""
     sight = noise.sight
     known = np.isfinite(sight.widths)
-    seen, sigma = np.where(known, sight.widths, 0.0), np.where(known, sight.width_sigmas, 1.0)
-    expected = np.minimum(px_per_m * noise.shape.line_width_m, 1e3)
+    out = np.zeros(px_per_m.shape[:2])
+    rows = np.flatnonzero(known.any(axis=1))
+    if not len(rows):
+        return out
+    known = known[rows]
+    seen, sigma = np.where(known, sight.widths[rows], 0.0), np.where(known, sight.width_sigmas[rows], 1.0)
+    expected = np.minimum(px_per_m[:, rows] * noise.shape.line_width_m, 1e3)
     variance = sigma**2 + _WIDTH_PX**2 + (_WIDTH * expected) ** 2
     off = seen - expected
     fit = -0.5 * (off * off / variance + np.log(variance) + _LOG_2PI) - _LOG_WIDTH
     # both ends' widths are one and the same error: their mean says it
-    share = known / np.maximum(np.sum(known, axis=1, keepdims=True), 1)
-    return np.asarray((fit * share).sum(axis=2))
+    share = known / known.sum(axis=1, keepdims=True)
+    out[:, rows] = (fit * share).sum(axis=2)
+    return out
 
 
 def _match_posts(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
@@ -204,7 +169,7 @@ def _match_posts(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
         return np.full((count, posts), -1), np.zeros((count, posts))
     choices = np.broadcast_to(np.arange(marks), (count, posts, marks))
     error, ahead = post_errors(cameras, choices)
-    whitening = noise.whitening_of_posts
+    whitening = noise.whitening_of_posts(count)
     white = error @ np.swapaxes(whitening, -1, -2)
     misfit = np.sum(white * white, axis=-1)
     numbers = np.where(sight.feet.known, 6.0, 4.0)

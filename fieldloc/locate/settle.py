@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldloc import pose as se2
-from fieldloc.locate.errors import IntArray
+from fieldloc.locate.cameras import IntArray
 from fieldloc.locate.evidence import log_missed
-from fieldloc.locate.matching import Matches, Noise, match
+from fieldloc.locate.matching import Matches, match
+from fieldloc.locate.noise import Noise
 from fieldloc.locate.refine import linearise, stepped
 from fieldloc.locate.task import Task
 from fieldloc.locate.windows import Windows, cut
@@ -86,7 +87,7 @@ def _settled(
     """missed: (k,) if it is known."""
     shape, prior, settings = task.shape, task.prior, task.settings
     count, amounts = len(states), len(_AMOUNTS)
-    noise = Noise(task.sight, shape, settings, 0.0, np.tile(_AMOUNTS, count))
+    noise = Noise(task.sight, shape, settings, 0.0, _AMOUNTS)
     windows = windows.repeat(amounts)
     fitted = np.repeat(states, amounts, axis=0)
     matches = matches.take(np.repeat(np.arange(count), amounts))

@@ -70,7 +70,15 @@ class Sight:
     marks: Points
 
     line_both: FloatArray
-    """(2, l, 2, 3): line_rays, line_across."""
+    """(l, 2, 2, 3): line_rays, line_across."""
+    line_variances: FloatArray
+    """(l, 2): the diagonals of line_noise."""
+    line_by_focal: FloatArray
+    """(l, 2, 2): change of both ends' errors, and of their widths' logarithms, with a longer focal length."""
+    log_widths: FloatArray
+    """(l, 2), zero where not known."""
+    post_all: FloatArray
+    """(p, 11, 3): post_rays, post_across, the foot's ray and the change of its pixel with it."""
 
     @property
     def focal_px(self) -> float:
@@ -122,7 +130,11 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
         circle_out,
         circle_sigmas,
         marks.take(marks.known),
-        np.stack([line_rays[good], line_across[good]]),
+        np.stack([line_rays, line_across], axis=1)[good],
+        line_noise[good].diagonal(axis1=1, axis2=2),
+        np.stack([-line_out, -np.ones_like(line_out)], axis=1)[good],
+        np.log(np.where(np.isfinite(widths), widths, 1.0))[good],
+        np.concatenate([post_rays, post_across, feet.rays[:, None], feet.by_ray], axis=1)[stands],
     )
 
 

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc import pose as se2
-from fieldloc.locate.errors import Cameras
-from fieldloc.locate.matching import Matches, Noise, match
+from fieldloc.locate.cameras import Cameras
+from fieldloc.locate.matching import Matches, match
+from fieldloc.locate.noise import Noise
 from fieldloc.locate.prior import CameraPrior
 from fieldloc.locate.settings import LocateSettings
 from fieldloc.locate.shape import Shape
@@ -31,7 +32,7 @@ class Task:
 
     def noise(self, widen_px: float = 0.0) -> Noise:
         if widen_px not in self._noises:  # they remember what they made of the posts
-            self._noises[widen_px] = Noise(self.sight, self.shape, self.settings, widen_px, np.ones(1))
+            self._noises[widen_px] = Noise(self.sight, self.shape, self.settings, widen_px)
         return self._noises[widen_px]
 
     def score(self, states: FloatArray, matches: Matches) -> FloatArray:

@@ -1,0 +1,85 @@
+"""How far what is seen may be off what should be seen: the detector's noise, the lens', the map's."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldloc.locate.cameras import IntArray
+from fieldloc.locate.settings import LocateSettings
+from fieldloc.locate.shape import Shape
+from fieldloc.locate.sight import Sight
+from fieldloc.pose import FloatArray
+
+PAINTED = 0.12  # share by which the widths of all of a field's lines are off
+_UNEVEN = 0.05  # share by which a line's width changes along it
+_LEAST_WIDTH_PX = 4.0  # of a line whose width says how far it is: blur makes thin ones wider
+_BLUR_PX = 0.5  # by which light and a lens make white wider than it is
+
+
+@dataclass(frozen=True)
+class Noise:
+    """widen_px: how much farther off everything may be than noise makes it, while states are still rough.
+    amounts: (a,) of the model's noise, as variances; each in turn for so many states, or one for all."""
+
+    sight: Sight
+    shape: Shape
+    settings: LocateSettings
+    widen_px: float = 0.0
+    amounts: FloatArray | None = None
+
+    def _of(self, map_px: FloatArray) -> FloatArray:
+        """Of (k, ...)."""
+        model = self.settings.model_px**2 + map_px * map_px
+        if self.amounts is None:
+            return model + self.widen_px**2
+        by_amount = model.reshape(-1, len(self.amounts), *model.shape[1:])
+        by_amount = by_amount * self.amounts.reshape(-1, *(1,) * (model.ndim - 1)) + self.widen_px**2
+        return by_amount.reshape(model.shape)
+
+    def of_lines(self, px_per_m: FloatArray) -> FloatArray:
+        """(k, l, 2, ...) px^2 of the model alone."""
+        return self._of(self.settings.map_m * px_per_m)
+
+    def at(self, rows: IntArray, px_per_m: FloatArray) -> FloatArray:
+        """(n, 2) px^2 of the model alone, of states (n,)."""
+        map_px = self.settings.map_m * px_per_m
+        model = self.settings.model_px**2 + map_px * map_px
+        if self.amounts is not None:
+            model *= self.amounts[rows % len(self.amounts), None]
+        return model + self.widen_px**2
+
+    def of_circle(self, px_per_m: FloatArray) -> FloatArray:
+        return self._of(self.settings.map_m * px_per_m) + self.sight.circle_sigmas**2
+
+    @cached_property
+    def of_widths(self) -> tuple[NDArray[np.bool_], FloatArray]:
+        """Of which lines the width says how far they are (l,); variance of its logarithm at both ends (l, 2), of what
+        is not common to all lines."""
+        sight = self.sight
+        known = np.asarray((sight.widths > _LEAST_WIDTH_PX).all(axis=1))  # no NaN is
+        own = np.full(sight.widths.shape, _UNEVEN**2)
+        noise_px2 = sight.width_sigmas[known] ** 2 + _BLUR_PX**2 + self.widen_px**2
+        own[known] += noise_px2 / sight.widths[known] ** 2
+        return known, own
+
+    def whitening_of_posts(self, count: int) -> FloatArray:
+        """(k, p, 6, 6) or (1, p, 6, 6) makes white noise of a post's six numbers of so many states."""
+        if self.amounts is None:
+            return self._post_whitening
+        return np.tile(self._post_whitening, (count // len(self.amounts), 1, 1, 1))
+
+    @cached_property
+    def _post_whitening(self) -> FloatArray:
+        """(a, p, 6, 6); the numbers of a foot that is not seen are left as zero."""
+        sight = self.sight
+        diameter = 2.0 * float(np.mean(self.shape.radii)) if len(self.shape.radii) else 0.1
+        map_px = self.settings.map_m * sight.post_widths / diameter
+        amounts = np.ones(1) if self.amounts is None else self.amounts
+        model = amounts[:, None] * (self.settings.model_px**2 + map_px**2) + self.widen_px**2
+        out = np.zeros((*model.shape, 6, 6))
+        out[..., :4, :4] = sight.post_noise + model[..., None, None] * np.eye(4)
+        foot = sight.feet.noise + model[..., None, None] * np.eye(2)
+        out[..., 4:, 4:] = np.where(sight.feet.known[:, None, None], foot, np.eye(2))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(out)))
