@@ -41,6 +41,17 @@ def log_peaks(covariances: FloatArray) -> FloatArray:
     return np.asarray(-0.5 * np.linalg.slogdet(2.0 * np.pi * covariances)[1])
 
 
+def inverse_of_lower(root: FloatArray) -> FloatArray:
+    """Inverses (..., m, m) of small lower triangles, as of Cholesky's factors: faster than those of any matrices."""
+    out = np.zeros_like(root)
+    for i in range(root.shape[-1]):
+        own = 1.0 / root[..., i, i]
+        out[..., i, i] = own
+        if i:
+            out[..., i, :i] = -own[..., None] * (root[..., i, None, :i] @ out[..., :i, :i])[..., 0, :]
+    return out
+
+
 def central_difference(f: Callable[[FloatArray], FloatArray], x: FloatArray, step: float = 1e-6) -> FloatArray:
     """Numerical Jacobian (m, n) of f: (n,) -> (m,) at x. Angles in f must not wrap within the step."""
     steps = step * np.eye(len(x))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc import pose as se2
+from fieldloc.covariance import inverse_of_lower
 from fieldloc.image_anchors import Anchors
 from fieldloc.image_map import ImageMap
 from fieldloc.image_post_numbers import NUMBERS
@@ -19,7 +20,8 @@ from fieldloc.pose import FloatArray
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _LONGEST_STEP = np.array([1.0, 1.0, 0.3])  # a linearisation is good for no more
-_WEAK = np.diag([1e-9, 1e-9, 1e-9, 1.0, 1.0, 1.0, 1.0])  # of the mount's whitened errors; the pose is free but finite
+# of the mount's whitened errors; the pose is free but finite; one for the error keeps what is left of it above zero
+_WEAK = np.diag([1.0, 1.0, 1.0, 1.0, 1e-9, 1e-9, 1e-9, 1.0])
 _SIGMAS = 4.0  # by how much a misfit may exceed its mean, as a normal variable does by as many sigmas
 _ROWS = 4  # of an anchor and a window
 
@@ -94,19 +96,16 @@ def solve(
     """
     count, size = readings.matched.shape
     rows, poses = readings.anchors, readings.poses
-    is_matched = readings.matched >= 0
-    in_use = is_matched[..., None, None]
+    is_matched = (readings.matched >= 0).astype(np.float64)
     at, of_anchor = anchors.poses[rows], anchors.whitening[rows]
     marks = field.landmarks[readings.matched]
-    of_posts = posts.whitening_both * in_use
-    offset = posts.white_offset * is_matched[..., None]
-    # Jacobian by pose and mount, and the error last
+    # Jacobian by mount and pose, and the error last
     model = np.zeros((count, _ROWS + NUMBERS * size, 8))
     of_lines, by_posts = model[:, :3], model[:, _ROWS:].reshape(count, size, NUMBERS, 8)
-    of_lines[..., 3:7] = anchors.by_mount[rows]
-    by_posts[..., 3:7] = posts.whitened_by_mount * in_use
+    of_lines[..., :4] = anchors.by_mount[rows]
+    by_posts[..., :4] = posts.whitened_by_mount
     log_norm = anchors.log_weights[rows] + anchors.log_norm[rows] + is_matched @ posts.log_norm
-    for left in reversed(range(steps)):
+    for _ in range(steps):
         _linearise_anchors(of_lines, of_anchor, at, poses)
         if windows is not None:
             _linearise_windows(model[:, 3], windows, poses)
@@ -114,47 +113,55 @@ def solve(
             predicted = posts.predicted(poses[:, None], marks)
             predicted[..., 3] -= posts.fused
             predicted[..., 0, 3] = se2.wrap(predicted[..., 0, 3])
-            white = of_posts @ predicted
-            by_posts[..., :3], by_posts[..., 7] = white[..., :3], white[..., 3] + offset
-        log_survey = np.zeros(count)
+            by_posts[..., 4:] = posts.whitening_both @ predicted
+            by_posts[..., 7] += posts.white_offset
+            by_posts *= is_matched[..., None, None]
+        log_survey: FloatArray | float = 0.0
         whole = model
         if field.surveyed is not None:
             whole = model.copy()
             surveyed = field.surveyed[readings.matched]
             log_survey = _add_survey(whole[:, _ROWS:].reshape(by_posts.shape), surveyed, poses)
-        squares = np.ascontiguousarray(np.swapaxes(whole, 1, 2)) @ whole
-        information, gradient = squares[:, :7, :7] + _WEAK, squares[:, :7, 7:]
-        if left:
-            step = np.linalg.solve(information, gradient)[..., 0]
-        else:
-            covariance = np.linalg.inv(information)
-            step = (covariance @ gradient)[..., 0]
-        poses = _moved(poses, step[:, :3])
-    misfit = squares[:, 7, 7] - (gradient[..., 0] * step).sum(axis=1)
-    log_volume = 1.5 * _LOG_2PI - 0.5 * np.linalg.slogdet(information)[1]
+        # the factor of mount, pose and error, in this order, has in it what is left when those before are eliminated
+        root = _root(np.ascontiguousarray(whole.swapaxes(1, 2)) @ whole + _WEAK)
+        by_pose = inverse_of_lower(root[:, 4:7, 4:7])
+        poses = _moved(poses, (root[:, 7:, 4:7] @ by_pose)[:, 0])
+    covariances = by_pose.swapaxes(1, 2) @ by_pose
+    diagonal = root.diagonal(axis1=1, axis2=2)
+    misfit = diagonal[:, 7] ** 2 - 1.0
+    log_volume = 1.5 * _LOG_2PI - np.log(diagonal[:, :7]).sum(axis=1)
     degrees = np.maximum(is_matched @ posts.numbers + anchors.rank[rows] - 3 + (windows is not None), 1)
     spread = 2.0 / (9.0 * degrees)  # Wilson and Hilferty, 1931
-    possible = misfit < degrees * (1.0 - spread + _SIGMAS * np.sqrt(spread)) ** 3
-    covariances = covariance[:, :3, :3]
-    possible &= inside(poses, field) & _long_enough(poses, covariances, anchors.free[rows], anchors.along_m[rows])
+    cube_root = 1.0 - spread + _SIGMAS * np.sqrt(spread)
+    possible = misfit < degrees * cube_root * cube_root * cube_root
+    possible &= inside(poses, field)
+    if (free := anchors.free[rows]).any():
+        possible &= _long_enough(poses, covariances, free, anchors.along_m[rows])
     log_integrals = np.where(possible, log_norm + log_survey + log_volume - 0.5 * misfit, -np.inf)
     return Solved(Readings(rows, readings.matched, poses), covariances, log_integrals)
 
 
+def _root(squares: FloatArray) -> FloatArray:
+    """Cholesky's factors of (k, 8, 8), a millionth of a millionth apart from singular."""
+    try:
+        return np.asarray(np.linalg.cholesky(squares), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        scale = squares.diagonal(axis1=1, axis2=2)[..., None]
+        return np.asarray(np.linalg.cholesky(squares + 1e-12 * scale * np.eye(8)), dtype=np.float64)
+
+
 def _linearise_anchors(model: FloatArray, whitening: FloatArray, at: FloatArray, poses: FloatArray) -> None:
-    """Whitened errors and Jacobians of poses (k, 3) against anchors at (k, 3), into (k, 3, 8)."""
+    """Whitened Jacobians and errors of poses (k, 3) against anchors at (k, 3), into (k, 3, 8)."""
     c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
     away = poses - at
-    turn = se2.wrap(away[:, 2])
+    x, y, turn = away[:, 0], away[:, 1], se2.wrap(away[:, 2])
     turned = np.zeros((len(at), 3, 4))
     turned[:, 0, 0] = turned[:, 1, 1] = np.cos(turn)
     turned[:, 1, 0] = np.sin(turn)
     turned[:, 0, 1] = -turned[:, 1, 0]
     turned[:, 2, 2] = 1.0
-    turned[:, 0, 3], turned[:, 1, 3] = c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]
-    turned[:, 2, 3] = turn
-    white = whitening @ turned
-    model[..., :3], model[..., 7] = white[..., :3], white[..., 3]
+    turned[:, 0, 3], turned[:, 1, 3], turned[:, 2, 3] = c * x + s * y, c * y - s * x, turn
+    np.matmul(whitening, turned, out=model[..., 4:])
 
 
 def _linearise_windows(model: FloatArray, windows: Windows, poses: FloatArray) -> None:
@@ -167,7 +174,7 @@ def _linearise_windows(model: FloatArray, windows: Windows, poses: FloatArray) -
     along = np.where(windows.by_distance, x, -y) / (far2 * windows.width)
     across = np.where(windows.by_distance, y, x) / (far2 * windows.width)
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    model[:, 0], model[:, 1] = c * along + s * across, c * across - s * along
+    model[:, 4], model[:, 5] = c * along + s * across, c * across - s * along
 
 
 def _add_survey(by_posts: FloatArray, surveyed: FloatArray, poses: FloatArray) -> FloatArray:
@@ -175,7 +182,7 @@ def _add_survey(by_posts: FloatArray, surveyed: FloatArray, poses: FloatArray) -
     at zero (k,)."""
     turned = se2.rotation(poses[:, None, 2])
     in_robot = np.swapaxes(turned, -1, -2) @ surveyed @ turned
-    to_position = by_posts[..., :2]
+    to_position = by_posts[..., 4:6]
     noise = np.eye(NUMBERS) + to_position @ in_robot @ np.swapaxes(to_position, -1, -2)
     again = np.linalg.inv(np.linalg.cholesky(noise))
     by_posts[...] = again @ by_posts
@@ -184,7 +191,7 @@ def _add_survey(by_posts: FloatArray, surveyed: FloatArray, poses: FloatArray) -
 
 def _moved(poses: FloatArray, step: FloatArray) -> FloatArray:
     """Poses less a tangent step, no longer than a linearisation is good for."""
-    x, y, turn = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP).T
+    x, y, turn = np.minimum(np.maximum(step, -_LONGEST_STEP), _LONGEST_STEP).T
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     out = np.empty_like(poses)
     out[:, 0], out[:, 1] = poses[:, 0] - c * x + s * y, poses[:, 1] - s * x - c * y

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.fixes.line_map import TurnedGrid
-from fieldloc.fixes.line_matching import GATE_SIGMAS, HASH, Matches
+from fieldloc.fixes.line_matching import GATE_SIGMAS, Matches, distinct, weights_of
 from fieldloc.fixes.lines import GroundLines
 from fieldloc.pose import FloatArray
 
@@ -50,18 +50,15 @@ def solve(
     used[:, 1:] = explained[first]
     model = np.zeros((1 + count, 3))
     model[0, 2] = -1.0
-    model[range(1, 1 + count), 1 - families] = -1.0
+    model[1:, 0], model[1:, 1] = -families, families - 1
     model = model[:, states]
-    # a line that is left out gets a row and column of the unit matrix, and then no say
-    both = used[:, :, None] & used[:, None, :]
-    noise = np.where(both, with_map_noise(lines.covariance, sigma_map_m), np.eye(1 + count))
-    weight = np.linalg.inv(noise) * both
+    weight, log_det = _without(with_map_noise(lines.covariance, sigma_map_m), ~used)
     to_model = model.T @ weight
     information = to_model @ model
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     gain = covariance @ to_model
     explaining = used.sum(axis=1)
-    log_norm = -0.5 * (np.linalg.slogdet(noise)[1] + _LOG_2_PI * explaining)
+    log_norm = -0.5 * (log_det + _LOG_2_PI * explaining)
     log_room = 0.5 * (_LOG_2_PI * len(states) - np.log(np.linalg.det(information)))
     bound = _chi_square_bound(explaining - len(states))
 
@@ -117,13 +114,32 @@ def _patterns(explained: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[n
     """One row for each pattern among the rows of (k, n), and the pattern (k,) of each row."""
     if explained.all():
         return np.arange(min(len(explained), 1)), np.zeros(len(explained), dtype=np.intp)
-    code = explained @ HASH[np.arange(explained.shape[1]) % len(HASH)]
-    _, first, pattern = np.unique(code, return_index=True, return_inverse=True)
-    return first, pattern
+    return distinct(explained @ weights_of(explained.shape[1]))
+
+
+def _without(covariance: FloatArray, left_out: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Inverses (p, 1 + n, 1 + n) of the covariance of what is not left out (p, 1 + n), else zero, and log determinants.
+
+    A number is left out of the inverse of all by eliminating it there.
+    """
+    count, each = len(left_out), np.arange(len(left_out))
+    weight = np.empty((count, *covariance.shape))
+    weight[:] = np.linalg.inv(covariance)
+    log_det = np.full(count, np.linalg.slogdet(covariance)[1])
+    at_once = left_out.argsort(axis=1, kind="stable")
+    for turn in range(1, 1 + int(left_out.sum(axis=1).max(initial=0))):
+        number = at_once[:, -turn]
+        column = weight[each, number] * left_out[each, number, None]
+        pivot = column[each, number]
+        pivot[pivot == 0.0] = 1.0
+        weight -= column[:, :, None] * (column / pivot[:, None])[:, None]
+        log_det += np.log(pivot)
+    return weight, log_det
 
 
 def _chi_square_bound(degrees: NDArray[np.intp]) -> FloatArray:
     """Chi-square that noise exceeds as rarely as a normal variable exceeds GATE_SIGMAS (Wilson and Hilferty, 1931)."""
     # without a degree of freedom rounding is all the misfit there is
     spread = 2.0 / (9.0 * np.maximum(degrees, 1))
-    return np.where(degrees > 0, degrees * (1.0 - spread + GATE_SIGMAS * np.sqrt(spread)) ** 3, np.inf)
+    cube_root = 1.0 - spread + GATE_SIGMAS * np.sqrt(spread)
+    return np.where(degrees > 0, degrees * cube_root * cube_root * cube_root, np.inf)

@@ -7,6 +7,7 @@ line reaches over what was seen of it.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,25 @@ GATE_SIGMAS = 4.0
 AROUND_M = 1.0  # a robot can stand so far outside of the lines
 _SURE_SHARE = 0.5  # of the gates: a line that is nearer than that to a map line is never left unexplained
 _MOST = 1000  # places, and matches: more come only of noise as large as the gaps between the lines; then the best stay
-HASH = np.random.default_rng(1).integers(1, 2**62, 64)  # sums of these, modulo 2^64, tell rows of numbers apart
 
 _IntArray = NDArray[np.intp]
+
+
+@lru_cache(maxsize=64)
+def weights_of(count: int) -> NDArray[np.int64]:
+    """(count,) of which sums, modulo 2^64, tell rows of so many small numbers apart."""
+    return np.random.default_rng(1).integers(1, 2**62, count)
+
+
+def distinct(keys: NDArray[np.int64]) -> tuple[_IntArray, _IntArray]:
+    """The first row of each key among (k,), and which of those stands for each row (k,)."""
+    order = keys.argsort(kind="stable")
+    ordered = keys[order]
+    new = np.ones(len(keys), dtype=np.bool_)
+    new[1:] = ordered[1:] != ordered[:-1]
+    which = np.empty(len(keys), dtype=np.intp)
+    which[order] = new.cumsum() - 1
+    return order[new], which
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +76,18 @@ class LineMatcher:
         # the surest so many of each direction
         first = (alike & (variance < variance[:, None])).sum(axis=1) <= unexplained
         # family 0 says where the robot is in y, family 1 in x
-        bounds = np.stack([grid.low_m, grid.high_m], axis=-1)[:, 1 - families, None]
-        margin = AROUND_M + reach[:, None]
+        across, margin = 1 - families, AROUND_M + reach
         possible = (half >= 0.0) & first[:, None]
-        possible &= (self._position > bounds[..., 0] - margin) & (self._position < bounds[..., 1] + margin)
-        turn, line, column = np.nonzero(possible)
+        possible &= self._position > (grid.low_m[:, across] - margin)[..., None]
+        possible &= self._position < (grid.high_m[:, across] + margin)[..., None]
+        turn, line, column = possible.nonzero()
         at, middle, wide = (a[turn, line, column] for a in (self._position, self._middle, self._half))
         apart = np.abs(self._position[turn] - at[:, None, None]) / gate[line][:, :, None]
         fits = (apart <= 1.0).astype(np.int8) + (apart <= _SURE_SHARE)
         fits *= alike[line][:, :, None]
         fits *= np.abs(self._middle[turn] - middle[:, None, None]) <= self._half[turn] + wide[:, None, None]
         family = families[line]
-        left_out = self._count[family] - (fits > 0).any(axis=2).sum(axis=1)
+        left_out = self._count[family] - fits.any(axis=2).sum(axis=1)
         kept = left_out <= unexplained
         # per anchor: turn, position across, its reach, room along, which lines fit, how many do not
         self._turn, self._family, self._left_out = turn[kept], family[kept], left_out[kept]
@@ -79,7 +96,7 @@ class LineMatcher:
 
     def pairs(self) -> Matches:
         """With lines of both directions explained."""
-        y, x = np.flatnonzero(self._family == 0), np.flatnonzero(self._family == 1)
+        (y,), (x,) = (self._family == 0).nonzero(), self._family.nonzero()
         middle, half = self._room
         both = self._turn[y][:, None] == self._turn[x]
         both &= self._left_out[y][:, None] + self._left_out[x] <= self._unexplained
@@ -120,27 +137,32 @@ class LineMatcher:
         count = len(self._families)
         enough = fits.any(axis=2).sum(axis=1) >= count - self._unexplained
         turn, fits = turn[enough], fits[enough]
-        quality = np.zeros((*fits.shape[:2], fits.shape[2] + 1), dtype=np.int8)
-        quality[:, :, :-1] = fits
-        options = quality > 0
-        options[:, :, -1] = (fits < 2).all(axis=2)
+        options = np.empty((*fits.shape[:2], fits.shape[2] + 1), dtype=np.bool_)
+        options[:, :, :-1] = fits
+        options[:, :, -1] = fits.max(axis=2, initial=0) < 2
         columns = options.argmax(axis=2)
-        parent, total = np.arange(len(turn)), np.zeros(len(turn))
-        for line in np.flatnonzero((options.sum(axis=2) > 1).any(axis=0)):
-            row, column = np.nonzero(options[parent, line])
-            total = total[row] + quality[parent[row], line, column]
-            if len(row) > _MOST:
-                best = np.sort(np.argsort(-total, kind="stable")[:_MOST])
-                row, column, total = row[best], column[best], total[best]
+        parent = np.arange(len(turn))
+        for line in (options.sum(axis=2) > 1).any(axis=0).nonzero()[0].tolist():
+            row, column = options[parent, line].nonzero()
             parent, columns = parent[row], columns[row]
             columns[:, line] = column
+            if len(row) > _MOST:
+                best = self._best(fits, parent, columns)
+                parent, columns = parent[best], columns[best]
         columns[columns == fits.shape[2]] = -1
         turn = turn[parent]
         left_out = columns < 0
         good = left_out.sum(axis=1) <= self._unexplained
         for family in explained:
             good &= ~left_out[:, self._families == family].all(axis=1)
-        key = columns @ HASH[np.arange(1, 1 + count) % len(HASH)] + turn * HASH[0]
-        _, distinct = np.unique(np.where(good, key, -1), return_index=True)
-        distinct = distinct[good[distinct]]
-        return Matches(turn[distinct], columns[distinct])
+        turn, columns = turn[good], columns[good]
+        weights = weights_of(1 + count)
+        rows, _ = distinct(columns @ weights[1:] + turn * weights[0])
+        return Matches(turn[rows], columns[rows])
+
+    def _best(self, fits: NDArray[np.int8], parent: _IntArray, columns: _IntArray) -> _IntArray:
+        """So many as are followed of choices (k, n) from fits (p, n, m), in their order."""
+        quality = np.zeros((*fits.shape[:2], fits.shape[2] + 1), dtype=np.int8)
+        quality[:, :, :-1] = fits
+        total = quality[parent[:, None], np.arange(len(self._families)), columns].sum(axis=1)
+        return np.sort(np.argsort(-total, kind="stable")[:_MOST])

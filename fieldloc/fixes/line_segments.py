@@ -69,7 +69,7 @@ def usable_segments(
     good = np.asarray(np.isfinite(ends).all(axis=(1, 2)) & np.isfinite(noise).all(axis=(1, 2)))
     rays, ray_to_pixel, exist = camera.ray_and_jacobian(ends)
     good &= exist.all(axis=1)
-    good[good] = np.linalg.eigvalsh(noise[good])[:, 0] > 0
+    good[good] = _positive_definite(noise[good])
     index = np.flatnonzero(good)
     if not len(index):
         return None
@@ -91,15 +91,15 @@ def usable_segments(
             index[good],
         )
     # the line runs where the plane through the camera and the segment cuts the horizontal: normal x up
-    turned = np.zeros_like(upright)
-    turned[:, 0], turned[:, 1] = -upright[:, 1] / level2, upright[:, 0] / level2
-    to_ends = np.empty_like(directions)
-    to_ends[:, 0], to_ends[:, 1] = cross(directions[:, 1], turned), cross(turned, directions[:, 0])
+    turned = np.zeros((len(index), 1, 3))
+    turned[:, 0, 0], turned[:, 0, 1] = upright[:, 1] / level2, -upright[:, 0] / level2
+    to_ends = cross(turned, directions[:, ::-1])
+    to_ends[:, 1] *= -1.0
     by_pixel = (to_ends[:, :, None] @ to_pixel).reshape(-1, 1, 4)
     own = (by_pixel @ noise @ by_pixel.swapaxes(1, 2))[:, 0, 0]
     by_attitude = bearing_by_attitude(upright, level2, axes)
     covariance = by_attitude @ attitude @ by_attitude.T
-    covariance[range(len(own)), range(len(own))] += own
+    covariance.flat[:: len(own) + 1] += own
     bearing = np.arctan2(-upright[:, 0], upright[:, 1])
     segments = LineSegments(index, rays, ray_to_pixel, noise, normals, bearing, covariance, own)
     sharp = covariance.diagonal() - mount.covariance[1, 1] < _MAX_BEARING_SIGMA_RAD**2
@@ -111,9 +111,8 @@ def bearing_by_attitude(upright: FloatArray, level2: FloatArray, axes: FloatArra
 
     level2: (n,) squared length of the normals' level part.
     """
-    turn = np.ones_like(upright)
-    turn[:, :2] = -upright[:, 2:] * upright[:, :2] / level2[:, None]
-    return np.asarray(turn @ axes.T)
+    slant = -upright[:, 2] / level2
+    return np.asarray((slant[:, None] * upright[:, :2]) @ axes[:, :2].T + axes[:, 2])
 
 
 def agreeing(segments: LineSegments) -> tuple[NDArray[np.bool_], float]:
@@ -129,15 +128,30 @@ def agreeing(segments: LineSegments) -> tuple[NDArray[np.bool_], float]:
     spread = variance[:, None] + variance[None, :] - 2 * covariance
     spread = np.maximum(spread, 1e-12 * variance[:, None])
     squared = np.minimum(difference * difference / spread, _GATE_SIGMAS**2)
-    best = int(np.lexsort((variance, squared.sum(axis=1).round(9)))[0])
+    total = squared.sum(axis=1).round(9).tolist()
+    best = min(range(len(total)), key=lambda row: (total[row], variance[row]))
     agree = squared[best] < _GATE_SIGMAS**2
-    weighted = np.sum(np.exp(4j * bearing[agree]) / variance[agree])
-    return agree, float(modulo_quarter(np.angle(weighted) / 4))
+    fourfold, weight = 4.0 * bearing, agree / variance
+    angle = 0.25 * math.atan2(np.sin(fourfold) @ weight, np.cos(fourfold) @ weight)
+    return agree, _modulo_quarter(angle)
 
 
 def modulo_quarter(angle_rad: FloatArray | float) -> FloatArray:
     """Angle modulo 90 degrees in [-pi/4, pi/4), any shape."""
     return np.asarray((np.asarray(angle_rad) + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+
+
+def _modulo_quarter(angle_rad: float) -> float:
+    return (angle_rad + math.pi / 4) % (math.pi / 2) - math.pi / 4
+
+
+def _positive_definite(matrices: FloatArray) -> NDArray[np.bool_] | bool:
+    """(n,) of symmetric (n, m, m)."""
+    try:
+        np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.eigvalsh(matrices)[:, 0] > 0)
+    return True
 
 
 def _below_horizon(
@@ -148,6 +162,6 @@ def _below_horizon(
     blocks = covariance_px2.reshape(-1, 2, 2, 2, 2)
     variance = np.einsum("nep,nepeq,neq->ne", by_pixel, blocks, by_pixel)
     # how an end rises as the camera turns about an axis: axis x direction, of which the upward part
-    rise = directions[..., 1:2] * axes[:, 0] - directions[..., :1] * axes[:, 1]
+    rise = directions[..., :2] @ np.stack([-axes[:, 1], axes[:, 0]])
     variance += ((rise @ attitude) * rise).sum(axis=-1)
     return np.asarray((-directions[..., 2] > _HORIZON_SIGMAS * np.sqrt(variance)).all(axis=1))
