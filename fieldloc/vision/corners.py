@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import SeenCorner, SeenLine
 from fieldloc.vision.straight import Plane
 
@@ -37,27 +36,16 @@ def find_corners(lines: tuple[SeenLine, ...], plane: Plane) -> tuple[SeenCorner,
     near = width[pairs, far.astype(np.intp)]
     meet = (inside > -(_REACH_PX + 2.0 * near)).all(axis=1) & np.isfinite(points).all(axis=1)
     ending = np.count_nonzero(inside < _WITHIN * np.maximum(near, near[:, ::-1]) + 0.5 * _REACH_PX, axis=1)
-    corners = []
-    for row in np.flatnonzero(meet):
-        one, other = pairs[row].tolist()
-        share = place[row] / length[pairs[row]]
-        seen = _in_picture(points[row], share, [lines[one], lines[other]], normals[pairs[row]], plane)
-        corners.append(SeenCorner(*seen, "XTL"[ending[row]], (one, other)))
-    return tuple(corners)
-
-
-def _in_picture(
-    point: FloatArray, share: FloatArray, lines: list[SeenLine], normals: FloatArray, plane: Plane
-) -> tuple[FloatArray, FloatArray]:
-    """The pixel of a corner (2,) of the plane and its covariance. share: (2,) of either line's length where it lies."""
-    places, vectors, _ = plane.normals_in_picture(np.stack([point, point]), normals)
-    variance = np.zeros(2)
-    for row, line in enumerate(lines):
-        # Across the line, its error at the corner is that share of the errors at its ends.
-        at_ends = plane.from_picture(line.ends_px)
-        across = plane.normals_in_picture(at_ends, np.broadcast_to(normals[row], (2, 2)))[1]
-        weight = np.array([1.0 - share[row], share[row]])
-        gain = (weight[:, None] * across).ravel()
-        variance[row] = gain @ line.covariance_px2 @ gain
+    pairs, points, share, kinds = pairs[meet], points[meet], (place / length[pairs])[meet], ending[meet]
+    both = normals[pairs]
+    pixels, vectors, _ = plane.normals_in_picture(np.stack([points, points], axis=1), both)
+    # Across each line, its error at the corner is that share of the errors at its ends.
+    at_ends = np.broadcast_to(both[:, :, None], (*both.shape[:2], 2, 2))
+    _, across, _ = plane.normals_in_picture(ends[pairs], at_ends)
+    gain = (np.stack([1.0 - share, share], axis=-1)[..., None] * across).reshape(-1, 2, 1, 4)
+    errors = np.stack([line.covariance_px2 for line in lines])[pairs]
+    variance = (gain @ errors @ gain.transpose(0, 1, 3, 2))[..., 0]
     inverse = np.linalg.inv(vectors)
-    return places[0], inverse @ np.diag(variance) @ inverse.T
+    covariance = inverse @ (variance * inverse.transpose(0, 2, 1))
+    rows = zip(pixels[:, 0], covariance, kinds.tolist(), pairs.tolist(), strict=True)
+    return tuple(SeenCorner(pixel, own, "XTL"[kind], (one, other)) for pixel, own, kind, (one, other) in rows)

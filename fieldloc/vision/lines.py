@@ -47,23 +47,30 @@ class Middles:
     used: Mask
     bare: Mask
 
-    def line(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The straight lines through (..., n, m) values over places: middle of the places (n,), value there, slope;
-        (..., n) each."""
+    def fit(self, values: FloatArray) -> "Straight":
+        """The straight lines through values (..., n, m) over places, by least squares."""
         count = np.maximum(np.count_nonzero(self.used, axis=1), 1)
         middle = (self.place * self.used).sum(axis=1) / count
         away = (self.place - middle[:, None]) * self.used
         slope = (away * values).sum(axis=-1) / np.maximum((away * away).sum(axis=1), 1e-9)
-        return middle, (values * self.used).sum(axis=-1) / count, slope
-
-    def on_line(self, values: FloatArray, wanted: FloatArray) -> FloatArray:
-        """Those lines at the places wanted (n, k)."""
-        middle, mean, slope = self.line(values)
-        return np.asarray(mean[..., None] + slope[..., None] * (wanted - middle[:, None]))
+        return Straight(middle, (values * self.used).sum(axis=-1) / count, slope)
 
     def rest(self, values: FloatArray) -> FloatArray:
         """(..., n, m) what is left of the values, 0 where not used."""
-        return np.asarray((values - self.on_line(values, self.place)) * self.used)
+        return np.asarray((values - self.fit(values).at(self.place)) * self.used)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Straight:
+    """Of n lines the middle of the places (n,), and what is fitted: its value there and its slope, (..., n) each."""
+
+    middle: FloatArray
+    value: FloatArray
+    slope: FloatArray
+
+    def at(self, places: FloatArray) -> FloatArray:
+        """(..., n, k) at places (n, k)."""
+        return np.asarray(self.value[..., None] + self.slope[..., None] * (places - self.middle[:, None]))
 
 
 def fit_lines(
@@ -132,7 +139,7 @@ def _without_outliers(found: Middles) -> Middles:
     good, values = found.used, np.stack([found.off, found.width])
     for _ in range(4):
         count = np.count_nonzero(found.used, axis=1)
-        off = np.abs(values - found.on_line(values, found.place))
+        off = np.abs(values - found.fit(values).at(found.place))
         ranked = np.sort(np.where(found.used, off, np.inf), axis=-1)
         typical = 1.4826 * ranked[:, np.arange(len(count)), np.maximum(count - 1, 0) // 2]
         now = good & (off < _OUTLIER * np.maximum(typical, _LEAST_TYPICAL_PX)[..., None]).all(axis=0)
@@ -149,7 +156,7 @@ def _moved(segments: Segments, found: Middles) -> Segments:
     lengths = segments.lengths
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / lengths[:, None]
     ends = np.stack([np.zeros(len(lengths)), lengths], axis=1)
-    off, width = found.on_line(found.off, ends), found.on_line(found.width, ends)
+    off, width = found.fit(np.stack([found.off, found.width])).at(ends)
     some = found.used.sum(axis=1) >= _LEAST_USED
     width = np.where(some[:, None], np.maximum(width, 0.5 * segments.width_px), segments.width_px)
     off = np.where(some[:, None], off, 0.0)
@@ -207,27 +214,30 @@ def _seen(ends: FloatArray, found: Middles, plane: Plane, turf: Turf, height: in
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     at = _ends_of(found)
     count = found.used.sum(axis=1)
-    rest, wide = found.rest(found.off), found.rest(found.width)
+    values = np.stack([found.off, found.width])
+    line = found.fit(values)
+    rest, wide = (values - line.at(found.place)) * found.used
+    off_at, width_at = line.at(at)
     # Least squares of a straight line: the covariance of its values at the ends, for a variance of 1 of each middle.
-    middle, _, _ = found.line(found.off)
-    spread = (np.where(found.used, found.place - middle[:, None], 0.0) ** 2).sum(axis=1)
-    away = at - middle[:, None]
+    spread = (((found.place - line.middle[:, None]) * found.used) ** 2).sum(axis=1)
+    away = at - line.middle[:, None]
     shape = 1.0 / count[:, None, None] + away[:, :, None] * away[:, None, :] / spread[:, None, None]
     shape = shape * _correlation(rest, found.used) / (count - 2.0)[:, None, None]
     covariance = shape * (rest * rest).sum(axis=1)[:, None, None]
     width_variance = shape.diagonal(axis1=1, axis2=2) * (wide * wide).sum(axis=1)[:, None] + 2.0 * _FLOOR_PX**2
-    points = ends[:, :1] + at[:, :, None] * along[:, None] + found.on_line(found.off, at)[:, :, None] * across[:, None]
+    points = ends[:, :1] + at[:, :, None] * along[:, None] + off_at[:, :, None] * across[:, None]
     pixels, normals, zoom = plane.normals_in_picture(points, np.broadcast_to(across[:, None], points.shape))
-    widths = np.maximum(found.on_line(found.width, at), 0.0) * zoom
+    widths = np.maximum(width_at, 0.0) * zoom
     shift, unsure = middle_shift(pixels, normals, widths, turf, height)
     pixels = pixels + shift[..., None] * normals
     covariance = covariance * zoom[:, :, None] * zoom[:, None, :] + _FLOOR_PX**2 * np.eye(2)
     covariance += unsure[:, :, None] * unsure[:, None, :]
     # Along it nothing is known of an end; what stands there, as much as across it, only keeps the matrix positive.
     tangents = np.stack([-normals[..., 1], normals[..., 0]], axis=-1)
-    full = np.einsum("nij,nia,njb->niajb", covariance, normals, normals)
-    own = covariance.diagonal(axis1=1, axis2=2)
-    full[:, [0, 1], :, [0, 1]] += np.einsum("ni,nia,nib->inab", own, tangents, tangents)
+    full = covariance[:, :, None, :, None] * normals[:, :, :, None, None] * normals[:, None, None]
+    own = covariance.diagonal(axis1=1, axis2=2)[:, :, None, None] * tangents[:, :, :, None] * tangents[:, :, None]
+    full[:, 0, :, 0] += own[:, 0]
+    full[:, 1, :, 1] += own[:, 1]
     full = full.reshape(-1, 4, 4)
     sigmas = np.sqrt(width_variance) * zoom
     return tuple(SeenLine(*row) for row in zip(pixels, full, widths, sigmas, strict=True))

@@ -50,8 +50,8 @@ def _shares(strips: Strips, view: View, under_v: FloatArray, own: FloatArray) ->
     beyond = 0.5 * thick + 0.35 * width[..., None, None, None] + 1.0
     u = np.broadcast_to(np.stack([left, right])[:, :, None, None, None], middle.shape)
     visible = view.contains(u, middle - beyond) & view.contains(u, middle + beyond)
-    inside = view.likeness_at(u, middle)
-    outside = np.maximum(view.likeness_at(u, middle - beyond), view.likeness_at(u, middle + beyond))
+    above, inside, below = view.likeness_at(u, np.stack([middle - beyond, middle, middle + beyond]))
+    outside = np.maximum(above, below)
     # a bar is lit from another side than a post
     least = np.minimum(own - 0.6 * strips.contrast, 0.65 * own)[:, None, None, None, None]
     bar = visible & (inside > least) & (inside - outside > 0.45 * strips.contrast[:, None, None, None, None])

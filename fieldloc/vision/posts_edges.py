@@ -97,7 +97,7 @@ def _ridges(
 ) -> tuple[FloatArray, FloatArray, Labels]:
     """Columns and rows (n,) of the ridges of the change, and which of those linked from row to row each is of."""
     highest = np.asarray(cv2.dilate(change, np.ones((1, 3), dtype=np.uint8)))
-    ridge = (change == highest) & (change > np.maximum(across, np.int16(least)))
+    ridge = (change == highest) & (change > across) & (change > np.int16(least))
     thick = cv2.dilate(ridge.view(np.uint8), np.ones((3, 1), dtype=np.uint8))  # a row may be missing
     count, labels = cv2.connectedComponents(thick, connectivity=8, ltype=cv2.CV_16U)
     spots = np.flatnonzero(ridge)

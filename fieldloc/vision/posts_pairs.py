@@ -117,10 +117,10 @@ def _uniform(strips: Strips, band: Band) -> Strips:
     clear = np.flatnonzero(contrast > 5.0)
     contrast, length = contrast[clear], (strips.rows[:, 1] - strips.rows[:, 0])[clear]
     begin, end = outmost[1, clear], outmost[2, clear]
-    between = [band.at(begin + share * (end - begin), v[clear]) for share in _PLACES]
-    inside = np.stack([values[1, clear], *between, values[2, clear]])
+    between = band.at(begin + _PLACES[:, None, None] * (end - begin), v[clear])
+    inside = np.concatenate([values[1:2, clear], between, values[2:3, clear]])
     typical = _median(inside)
-    level = np.median(typical, axis=0)
+    level = _median(typical.T)
     unrest = _median(np.abs(inside - typical[..., None])).mean(axis=0)
     darkest = _median(inside.min(axis=0))
     brighter_side = np.maximum(_median(values[0, clear]), _median(values[3, clear]))

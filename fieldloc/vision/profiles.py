@@ -5,6 +5,7 @@ alike, so that their middle stays where it is.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -60,7 +61,8 @@ def measure(grey: UInt8Array, centres: FloatArray, normals: FloatArray, width_px
     beyond = (x[_MIDDLE + _FIRST_BEYOND :] > np.float32(0.5) * wide + _BEYOND_PX)[:, None]
     # The turf's level is the lowest until it gets brighter again: another line may be near.
     lowest = np.where(beyond, outward[_FIRST_BEYOND:], _WHITE)
-    np.minimum.accumulate(lowest, axis=0, out=lowest)
+    for before, here in pairwise(lowest):
+        np.minimum(before, here, out=here)
     brighter = beyond & (outward[_FIRST_BEYOND:] > lowest + _BRIGHTER * (white - lowest))
     brighter[-1] = True
     level = _taken(lowest, brighter.argmax(axis=0))

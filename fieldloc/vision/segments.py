@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldloc.pose import FloatArray
+from fieldloc.vision.turf import Mask
 
 _BEND_PX = 1.2  # a piece's points stay within this of its chord, and within the next share of its width
 _BEND_SHARE = 0.12
@@ -106,45 +107,57 @@ def merged(pieces: Segments) -> Segments:
     """Pieces of one line as one, from the longest on; its ends are those of the pieces farthest apart."""
     order = np.argsort(-pieces.lengths)[:_MOST_PIECES]
     ends, width, weight = pieces.ends[order], pieces.width_px[order], pieces.lengths[order]
+    together = _belong(ends, width, ends, width)
     kept_ends, kept_widths = [], []
-    while len(ends):
-        base, base_width = ends[0], width[0]
-        joined = np.zeros(len(ends), dtype=np.bool_)
-        joined[0] = True
+    left = np.ones(len(ends), dtype=np.bool_)
+    for first in range(len(ends)):
+        if not left[first]:
+            continue
+        base, base_width = ends[first], width[first]
+        joined, now = left & False, together[first] & left
         for _ in range(3):  # what is joined makes the line longer and surer, so that more may belong to it
-            origin, along = base[0], base[1] - base[0]
-            length = float(np.hypot(along[0], along[1]))
-            along = along / length
-            relative = ends - origin
-            place = relative @ along
-            off = np.abs(relative @ np.array([-along[1], along[0]]))
-            beyond = np.maximum(np.maximum(-place, place - length), 0.0)
-            slack = _TOGETHER_PX + _TOGETHER_SHARE * np.minimum(width, base_width.max()) + _TOGETHER_RAD * beyond
-            now = (off <= slack).all(axis=1) & (width.mean(axis=1) < _WIDTHS * base_width.max())
-            now[0] = True
-            if (now == joined).all():
+            now[first] = True
+            if np.count_nonzero(now) == 1 or (now == joined).all():
                 break
             joined = now
             base = _joint(ends[joined], weight[joined])
-            place = (ends[joined] - base[0]) @ (base[1] - base[0]) / np.sum((base[1] - base[0]) ** 2)
+            along = base[1] - base[0]
+            place = (ends[joined] - base[0]) @ along / (along @ along)
             base_width = _line_at_ends(place.ravel(), width[joined].ravel(), np.repeat(weight[joined], 2))
+            now = _belong(base[None], base_width[None], ends, width)[0] & left
         kept_ends.append(base)
         kept_widths.append(base_width)
-        ends, width, weight = ends[~joined], width[~joined], weight[~joined]
+        joined[first] = True
+        left &= ~joined
     return Segments(np.array(kept_ends).reshape(-1, 2, 2), np.array(kept_widths).reshape(-1, 2))
+
+
+def _belong(lines: FloatArray, line_width: FloatArray, ends: FloatArray, width: FloatArray) -> Mask:
+    """(k, n) which pieces (n, 2, 2), (n, 2) wide, may be parts of which lines (k, 2, 2), (k, 2) wide."""
+    along = lines[:, 1] - lines[:, 0]
+    length = np.hypot(along[:, 0], along[:, 1])
+    u, v = (along / length[:, None]).T[..., None, None]
+    across, down = (ends - lines[:, None, None, 0]).transpose(3, 0, 1, 2)
+    place, off = across * u + down * v, np.abs(down * u - across * v)
+    beyond = np.maximum(np.maximum(-place, place - length[:, None, None]), 0.0)
+    widest = line_width.max(axis=1)[:, None, None]
+    slack = _TOGETHER_PX + _TOGETHER_SHARE * np.minimum(width, widest) + _TOGETHER_RAD * beyond
+    return np.asarray((off <= slack).all(axis=2) & (width.mean(axis=1) < _WIDTHS * widest[..., 0]))
 
 
 def _line_at_ends(place: FloatArray, width: FloatArray, weight: FloatArray) -> FloatArray:
     """(2,) the straight line through widths over places, at places 0 and 1; no narrower than half the narrowest."""
-    mean, middle = np.average(width, weights=weight), np.average(place, weights=weight)
+    total = weight.sum()
+    mean, middle = weight @ width / total, weight @ place / total
     spread = float(weight @ (place - middle) ** 2)
     slope = float(weight @ ((place - middle) * (width - mean))) / spread if spread > 0.0 else 0.0
-    return np.maximum(mean + slope * (np.array([0.0, 1.0]) - middle), 0.5 * float(width.min()))
+    return np.asarray(np.maximum(mean + slope * (np.array([0.0, 1.0]) - middle), 0.5 * float(width.min())))
 
 
 def _joint(ends: FloatArray, weight: FloatArray) -> FloatArray:
     """(2, 2): one line through segments (k, 2, 2), each with a weight, from end to end."""
-    points = np.concatenate([ends[:, 0], ends.mean(axis=1), ends[:, 1]])
-    mean, along = _principal(points, np.tile(weight, 3))
+    first, last = ends[:, 0], ends[:, 1]
+    points = np.concatenate([first, 0.5 * (first + last), last])
+    mean, along = _principal(points, np.concatenate([weight, weight, weight]))
     place = (points - mean) @ along
     return np.asarray(mean + np.array([[place.min()], [place.max()]]) * along)
