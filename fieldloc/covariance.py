@@ -1,8 +1,10 @@
 """Covariances: checks, propagation, the two-sided difference every Jacobian is held against."""
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from fieldloc.pose import FloatArray
 
@@ -39,6 +41,26 @@ def squared_mahalanobis(residual: FloatArray, covariance: FloatArray) -> FloatAr
 def log_peaks(covariances: FloatArray) -> FloatArray:
     """Log densities at zero (...) of normal errors (..., m, m)."""
     return np.asarray(-0.5 * np.linalg.slogdet(2.0 * np.pi * covariances)[1])
+
+
+def inverse_and_log_determinant(covariance: FloatArray) -> tuple[FloatArray, float]:
+    """Of one positive definite matrix (m, m): numpy's own take several times as long for a single small one.
+
+    ValueError where it is not positive definite.
+    """
+    root, inverse, failed = dposv(covariance, np.eye(len(covariance)))
+    if failed:
+        raise ValueError("a covariance is not positive definite")
+    return inverse, 2.0 * float(np.log(root.diagonal()).sum())
+
+
+@lru_cache(maxsize=64)
+def chi_square_bounds(most: int, sigmas: float) -> FloatArray:
+    """(most + 1,) by degrees of freedom: chi-square that noise exceeds as rarely as a normal variable exceeds so many
+    sigmas (Wilson and Hilferty, 1931); infinite for none, as then rounding is all the misfit there is."""
+    degrees = np.arange(1, most + 1)
+    spread = 2.0 / (9.0 * degrees)
+    return np.append(np.inf, degrees * (1.0 - spread + sigmas * np.sqrt(spread)) ** 3)
 
 
 def inverse_of_lower(root: FloatArray) -> FloatArray:

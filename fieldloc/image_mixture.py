@@ -15,6 +15,8 @@ false where posts alone are right; gates that what is right fails once in ten th
 metre around it; and readings nowhere a thousandth as likely as that nothing is right.
 """
 
+import math
+
 import numpy as np
 
 from fieldloc import pose as se2
@@ -57,16 +59,17 @@ def image_mixture(
     if lines is None and not len(posts):
         return None
     of_lines, count = (log_clutter(lines), len(lines.families)) if lines is not None else (0.0, 0)
-    log_outlier = float(np.log(detection.nothing_right) + of_lines + posts.log_clutter.sum())
+    of_posts = float(posts.log_clutter.sum())
+    log_outlier = math.log(detection.nothing_right) + of_lines + of_posts
     # everything else begins with all posts being none of the map's
-    log_clutter_posts = len(posts) * np.log(detection.false_post) + posts.log_clutter.sum()
-    base = float(np.log1p(-detection.nothing_right) + log_clutter_posts)
+    base = math.log1p(-detection.nothing_right) + len(posts) * math.log(detection.false_post) + of_posts
     least = log_outlier + _LOG_NEGLIGIBLE
     symmetries = field.symmetries if not posts.labelled else np.zeros((0, 3))
     turn_rad = 2 * np.pi / (1 + len(symmetries))
     parts = line_anchors(lines, field, detection, root, turn_rad) if lines is not None else []
     hopeless = bool(parts) and count > _MOST_FALSE_LINES
-    parts.append(nothing(-np.inf if hopeless else of_lines + count * float(np.log(detection.false_line))))
+    if not hopeless:
+        parts.append(nothing(of_lines + count * math.log(detection.false_line)))
     anchors = joined(parts)
     anchors.log_weights[:] += base
 
@@ -74,11 +77,11 @@ def image_mixture(
     poses, log_weights = solved.readings.poses, solved.log_integrals
     if len(poses) and len(image_field.landmarks):
         missed = in_clear_sight(poses, camera, features.mount, image_field.landmarks, detection)
-        row, post = np.nonzero(solved.readings.matched >= 0)
+        row, post = (solved.readings.matched >= 0).nonzero()
         missed[row, solved.readings.matched[row, post]] = 0.0
         log_weights = log_weights + np.log1p(-detection.post * missed).sum(axis=1)
     stacks: list[tuple[FactorStack, FloatArray]] = [(PoseStack(poses, solved.covariances), log_weights)]
-    free = np.flatnonzero(anchors.rank == 2)
+    (free,) = (anchors.rank == 2).nonzero()
     if len(free):
         stacks.append((_line_stack(anchors, free), anchors.log_weights[free]))
     if len(posts) and not hopeless:

@@ -2,22 +2,27 @@
 
 The bearing and the inverse distance of the post's axis from the point below the camera: by its foot on the ground, and
 by its two edges (see `fieldloc.fixes.post_feet`, which has them one by one and fused).
+
+A post by itself is worked out in plain numbers: an image has so few that arrays cost several times as much.
 """
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.camera import Camera
-from fieldloc.ground import attitude_axes, cross, robot_from_camera
+from fieldloc.ground import attitude_axes, robot_from_camera
 from fieldloc.measurements import CameraMount, PostObservation
-from fieldloc.pose import FloatArray, wrap
+from fieldloc.pose import FloatArray
 
 NUMBERS = 4  # foot's bearing and inverse distance, edges' bearing and inverse distance
 _LEAST_PX2 = 1e-4  # no pixel is exacter
 _NO_FOOT = np.full(2, np.nan)
-_LEFT, _RIGHT, _FOOT = 0, 1, 2
+_LEAST_NOISE = _LEAST_PX2 * np.eye(6)
+_NOTHING = [0.0] * 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,54 +38,99 @@ class PostNumbers:
 
 def post_numbers(posts: list[PostObservation], camera: Camera, mount: CameraMount, radius_m: float) -> PostNumbers:
     """radius_m 0 where the posts' is not known: then edges say nothing. ValueError for a foot without a covariance."""
-    count = len(posts)
     pixels, noise = _pixels(posts)
     rays, to_pixels, exists = camera.ray_and_jacobian(pixels)
-    if not exists.all():
-        rays, to_pixels = np.where(exists[..., None], rays, 0.0), np.where(exists[..., None, None], to_pixels, 0.0)
-    rotation = robot_from_camera(mount)
-    directions = rays @ rotation.T
-    # change of the directions to left edge, right edge and foot with their own (u, v) and with (pan, tilt, roll)
-    by_all = np.empty((count, 3, 3, 5))
-    by_all[..., :2] = rotation @ to_pixels
-    by_all[..., 2:] = cross(attitude_axes(mount), directions[..., None, :]).swapaxes(2, 3)
-    x, y, down = directions[..., 0], directions[..., 1], -directions[..., 2]
-    level2 = np.maximum(x * x + y * y, 1e-12)
-    below = down > 1e-9
-    down = np.where(below, down, 1.0)
-    # of the directions' bearings, and of the logarithm of how far they reach on the ground
-    to_polar = np.zeros((count, 3, 2, 3))
-    to_polar[:, :, 1, 0], to_polar[:, :, 1, 1] = x / level2, y / level2
-    to_polar[:, :, 0, 0], to_polar[:, :, 0, 1] = -to_polar[:, :, 1, 1], to_polar[:, :, 1, 0]
-    to_polar[:, :, 1, 2] = 1.0 / down
-    polar = (to_polar @ by_all).reshape(count, 6, 5)[:, [0, 2, 4, 5]]  # three bearings, and the foot's reach
-    bearing = np.arctan2(y, x)
-    half = 0.5 * wrap(bearing[:, _LEFT] - bearing[:, _RIGHT])
-    # the axis is in the edges' middle, and the sine of half their angle is the radius over the distance
-    scale = 1.0 / radius_m if radius_m > 0.0 else 0.0
-    inverse = 1.0 / (mount.height_m * np.sqrt(level2[:, _FOOT]) / down[:, _FOOT] + radius_m)
-    values = np.empty((count, NUMBERS))
-    values[:, 0], values[:, 1] = bearing[:, _FOOT], inverse
-    values[:, 2], values[:, 3] = bearing[:, _RIGHT] + half, scale * np.sin(half)
-    slope = inverse * (radius_m * inverse - 1.0)
-    mixed = np.zeros((count, NUMBERS, 4))
-    mixed[:, 0, 2], mixed[:, 1, 3], mixed[:, 2, :2] = 1.0, slope, 0.5
-    mixed[:, 3, 0] = 0.5 * scale * np.cos(half)
-    mixed[:, 3, 1] = -mixed[:, 3, 0]
-    seen = np.empty((count, NUMBERS), dtype=np.bool_)
-    seen[:, :2] = (below & exists)[:, _FOOT, None]
-    seen[:, 2:] = ((half > 0.0) & (half < 0.5 * np.pi) & (radius_m > 0.0) & exists[:, _LEFT] & exists[:, _RIGHT])[
-        :, None
-    ]
-    by_mount = np.zeros((count, NUMBERS, 4))
-    by_mount[:, 1, 0] = slope / mount.height_m
-    by_mount[:, :, 1:] = mixed @ polar[:, :, 2:]
-    by_pixels = mixed[..., None] * polar[:, None, :, :2]
-    by_pixels[:, :, _FOOT] += by_pixels[:, :, 3]
-    jacobian = by_pixels[:, :, :3].reshape(count, NUMBERS, 6)
-    if not seen.all():
-        values[~seen], jacobian[~seen], by_mount[~seen] = 0.0, 0.0, 0.0
-    return PostNumbers(values, by_mount, jacobian @ noise @ jacobian.swapaxes(1, 2), seen)
+    rotation, axes = robot_from_camera(mount), attitude_axes(mount).tolist()
+    values, by_pixels, by_mount, seen = [], [], [], []
+    for ends, by_own, (has_left, has_right, has_foot) in zip(
+        (rays @ rotation.T).tolist(), (rotation @ to_pixels).tolist(), exists.tolist(), strict=True
+    ):
+        left, right, foot = (_direction(end, change, axes) for end, change in zip(ends, by_own, strict=True))
+        by_foot = _of_foot(foot, mount.height_m, radius_m) if has_foot else None
+        by_edges = _of_edges(left, right, radius_m) if has_left and has_right else None
+        for two in (by_foot, by_edges):
+            values += [two.bearing, two.inverse] if two else _NOTHING[:2]
+            by_pixels += [two.bearing_by_pixels, two.inverse_by_pixels] if two else [_NOTHING, _NOTHING]
+            by_mount += [two.bearing_by_mount, two.inverse_by_mount] if two else [_NOTHING[:4], _NOTHING[:4]]
+            seen += [two is not None] * 2
+    count = len(posts)
+    jacobian = np.array(by_pixels).reshape(count, NUMBERS, 6)
+    return PostNumbers(
+        np.array(values).reshape(count, NUMBERS),
+        np.array(by_mount).reshape(count, NUMBERS, 4),
+        jacobian @ noise @ jacobian.swapaxes(1, 2),
+        np.array(seen).reshape(count, NUMBERS),
+    )
+
+
+class _Direction(NamedTuple):
+    """To an end of a post, in the robot's axes: its bearing, and how much farther it reaches on the ground than the
+    camera is high, 0 where it does not. Changes with (u, v, pan, tilt, roll) of the bearing and of the log of reach."""
+
+    bearing: float
+    reach: float
+    bearing_by: list[float]
+    reach_by: list[float]
+
+
+def _direction(ray: list[float], by_pixel: list[list[float]], axes: list[list[float]]) -> _Direction:
+    """Of a ray (3,), its change with the pixel (3, 2), and the axes of pan, tilt and roll (3, 3)."""
+    x, y, z = ray
+    (xu, xv), (yu, yv), (zu, zv) = by_pixel
+    level2 = max(x * x + y * y, 1e-12)
+    # a turn about the axis a moves the ray by a x ray
+    bearing_by = [(x * yu - y * xu) / level2, (x * yv - y * xv) / level2]
+    bearing_by += [c - (a * x + b * y) * z / level2 for a, b, c in axes]
+    if not z < -1e-9:
+        return _Direction(math.atan2(y, x), 0.0, bearing_by, [])
+    rise = z / level2 + 1.0 / z
+    reach_by = [(x * xu + y * yu) / level2 - zu / z, (x * xv + y * yv) / level2 - zv / z]
+    reach_by += [(b * x - a * y) * rise for a, b, _ in axes]
+    return _Direction(math.atan2(y, x), math.sqrt(level2) / -z, bearing_by, reach_by)
+
+
+class _Two(NamedTuple):
+    """Bearing and inverse distance, and their changes with the pixels of left edge, right edge and foot (6,) and with
+    the mount (4,)."""
+
+    bearing: float
+    inverse: float
+    bearing_by_pixels: list[float]
+    inverse_by_pixels: list[float]
+    bearing_by_mount: list[float]
+    inverse_by_mount: list[float]
+
+
+def _of_foot(foot: _Direction, height_m: float, radius_m: float) -> _Two | None:
+    """None where the foot is not below the horizon."""
+    if not foot.reach:
+        return None
+    inverse = 1.0 / (height_m * foot.reach + radius_m)
+    slope = inverse * (radius_m * inverse - 1.0)  # with the log of reach
+    by = [slope * change for change in foot.reach_by]
+    return _Two(
+        foot.bearing, inverse, [0.0] * 4 + foot.bearing_by[:2], [0.0] * 4 + by[:2],
+        [0.0, *foot.bearing_by[2:]], [slope / height_m, *by[2:]],
+    )  # fmt: skip
+
+
+def _of_edges(left: _Direction, right: _Direction, radius_m: float) -> _Two | None:
+    """The axis is in the edges' middle, and the sine of half their angle is the radius over the distance.
+
+    None where the edges are not in their order, or the radius is not known.
+    """
+    half = 0.5 * math.remainder(left.bearing - right.bearing, math.tau)
+    if not (0.0 < half < 0.5 * math.pi and radius_m > 0.0):
+        return None
+    middle = [0.5 * change for change in left.bearing_by], [0.5 * change for change in right.bearing_by]
+    scale = math.cos(half) / radius_m
+    width = [scale * change for change in middle[0]], [-scale * change for change in middle[1]]
+    return _Two(
+        right.bearing + half, math.sin(half) / radius_m,
+        [*middle[0][:2], *middle[1][:2], 0.0, 0.0], [*width[0][:2], *width[1][:2], 0.0, 0.0],
+        [0.0, *map(sum, zip(middle[0][2:], middle[1][2:], strict=True))],
+        [0.0, *map(sum, zip(width[0][2:], width[1][2:], strict=True))],
+    )  # fmt: skip
 
 
 def _pixels(posts: list[PostObservation]) -> tuple[FloatArray, FloatArray]:
@@ -94,5 +144,5 @@ def _pixels(posts: list[PostObservation]) -> tuple[FloatArray, FloatArray]:
             if post.foot_covariance_px2 is None:
                 raise ValueError("a post has a foot_px without a foot_covariance_px2")
             noise[row, 4:, 4:] = post.foot_covariance_px2
-    noise[:, range(6), range(6)] += _LEAST_PX2
+    noise += _LEAST_NOISE
     return pixels, noise

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.camera import Camera
+from fieldloc.covariance import inverse_of_lower
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
 from fieldloc.image_map import image_map
@@ -27,6 +28,8 @@ _LOG_ANYWHERE = log(0.5)
 _LOG_ONE_THING = log(0.02 * 0.3)
 _MOST_MISFIT = 22.0  # chi-square of two degrees that a post exceeds once in fifty thousand times
 _HALF_LOG_2PI = 0.5 * log(2.0 * pi)
+# of the mount's whitened errors, nothing of a post's own numbers, and one that keeps what is left of errors above zero
+_KNOWN = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0])
 _BOTH = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
 
 
@@ -63,24 +66,21 @@ class PostsSeen:
     def predicted(self, poses: FloatArray, landmarks: FloatArray) -> FloatArray:
         """Landmarks (..., 2) from poses (..., 3), as (..., 2, 4): of bearing and inverse distance, the change with the
         robot's tangent (3), and last they themselves."""
-        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+        heading = poses[..., 2]
+        c, s = np.cos(heading), np.sin(heading)
         away_x, away_y = landmarks[..., 0] - poses[..., 0], landmarks[..., 1] - poses[..., 1]
-        x, y = c * away_x + s * away_y, c * away_y - s * away_x  # from the robot
         ahead, left = self.below_camera
-        u, v = x - ahead, y - left
+        u, v = c * away_x + s * away_y - ahead, c * away_y - s * away_x - left
         inverse2 = 1.0 / np.maximum(u * u + v * v, 1e-6)
         inverse = np.sqrt(inverse2)
-        # a step of the robot moves the landmark by (-dx + y turn, -dy - x turn)
+        # a step of the robot moves the landmark, at (u + ahead, v + left), by (-dx + y turn, -dy - x turn)
         across, along = v * inverse2, u * inverse2
         out = np.empty((*u.shape, 2, 4))
-        out[..., 0, 0] = across
-        out[..., 0, 1] = -along
-        out[..., 0, 2] = -(across * y + along * x)
-        out[..., 0, 3] = np.arctan2(v, u)
-        out[..., 1, 0] = along * inverse
-        out[..., 1, 1] = across * inverse
-        out[..., 1, 2] = (across * ahead - along * left) * inverse
-        out[..., 1, 3] = inverse
+        bearing, size = out[..., 0, :], out[..., 1, :]
+        bearing[..., 0], bearing[..., 1], bearing[..., 3] = across, -along, np.arctan2(v, u)
+        bearing[..., 2] = -1.0 - across * left - along * ahead
+        size[..., 0], size[..., 1], size[..., 3] = along * inverse, across * inverse, inverse
+        size[..., 2] = size[..., 1] * ahead - size[..., 0] * left
         return out
 
 
@@ -141,32 +141,28 @@ def _weighed(
     indices: list[int | None],
     detection: Detection,
 ) -> PostsSeen:
-    values, mask = numbers.values, numbers.seen
-    each = np.arange(NUMBERS)
-    covariance = numbers.covariance
-    covariance[:, each, each] += ~mask
+    mask = numbers.seen
+    # what was not seen is noise of one, and then has no say
+    covariance = numbers.covariance + (~mask)[:, :, None] * np.eye(NUMBERS)
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    log_norm = ((np.log(whitening[:, each, each]) - _HALF_LOG_2PI) * mask).sum(axis=1)
-    whitening *= mask[:, None, :]
-    whitening *= mask[:, :, None]
+    log_norm = np.log(whitening.diagonal(axis1=1, axis2=2)).sum(axis=1) - _HALF_LOG_2PI * mask.sum(axis=1)
+    whitening *= mask[:, None] & mask[:, :, None]
     by_edges, by_foot = mask[:, 2], mask[:, 0]
     log_clutter = -_log_width(camera) - _LOG_ANYWHERE - (by_edges & by_foot) * _LOG_ONE_THING
     by_mount = -whitening @ numbers.by_mount @ root
     log_norm -= log_clutter + log(detection.false_post) - log1p(-detection.false_post) - log(detection.post)
-    fused, fused_covariance, log_rest, misfit = _fused(values, whitening, by_mount, by_foot)
+    both = whitening @ _BOTH
+    fused, fused_covariance, white_offset, log_rest, misfit = _fused(numbers.values, whitening, both, by_mount, by_foot)
     # what has a foot and edges that do not agree is none of the map's
-    allowed = np.repeat(misfit[:, None] < _MOST_MISFIT, len(field.landmarks), axis=1)
+    allowed = np.empty((len(mask), len(field.landmarks)), dtype=np.bool_)
+    allowed[:] = misfit[:, None] < _MOST_MISFIT
     for row, index in enumerate(indices):
         if index is not None:
             allowed[row] &= np.arange(len(field.landmarks)) == index
-    labelled = any(index is not None for index in indices)
-    both = whitening @ _BOTH
-    apart = np.concatenate([fused, fused], axis=-1) - values
-    apart[:, ::2] = wrap(apart[:, ::2])
     return PostsSeen(
         below_camera=(mount.x_m, mount.y_m),
         whitening_both=both,
-        white_offset=(whitening @ apart[..., None])[..., 0],
+        white_offset=white_offset,
         whitened_by_mount=by_mount,
         log_norm=log_norm,
         log_clutter=np.asarray(log_clutter),
@@ -175,29 +171,29 @@ def _weighed(
         fused_covariance=fused_covariance,
         log_fused=log_norm + log_rest,
         numbers=mask.sum(axis=1),
-        labelled=labelled,
+        labelled=any(index is not None for index in indices),
     )
 
 
 def _fused(
-    values: FloatArray, whitening: FloatArray, by_mount: FloatArray, by_foot: NDArray[np.bool_]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    values: FloatArray, whitening: FloatArray, both: FloatArray, by_mount: FloatArray, by_foot: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Least squares (p, 2) of each post's own numbers under pixel noise and the mount's errors, covariance (p, 2, 2),
-    the log of what is left of the density (p,) but for the noise's own at zero, and chi-square (p,) of two degrees."""
+    the whitened error (p, 4) that they leave, the log of what is left of the density (p,) but for the noise's own at
+    zero, and chi-square (p,) of two degrees."""
     first = np.where(by_foot[:, None], values[:, :2], values[:, 2:])
-    offset = values - np.tile(first, 2)
+    offset = values - np.concatenate([first, first], axis=1)
     offset[:, ::2] = wrap(offset[:, ::2])
-    design = np.concatenate([whitening @ _BOTH, by_mount], axis=-1)
-    back = np.swapaxes(design, -1, -2)
-    information = back @ design
-    information[:, range(2, 6), range(2, 6)] += 1.0
-    covariance = np.linalg.inv(information)
-    white = whitening @ offset[..., None]
-    gradient = back @ white
-    step = covariance @ gradient
-    misfit = (white * white).sum(axis=(1, 2)) - (gradient * step).sum(axis=(1, 2))
-    log_rest = log(2.0 * pi) - 0.5 * np.linalg.slogdet(information)[1] - 0.5 * misfit
-    return first + step[:, :2, 0], covariance[:, :2, :2], log_rest, misfit
+    # the factor of mount, own numbers and error, in this order, has in it what is left when those before are eliminated
+    model = np.concatenate([by_mount, both, whitening @ offset[..., None]], axis=-1)
+    root = np.linalg.cholesky(model.swapaxes(1, 2) @ model + _KNOWN)
+    by_own = inverse_of_lower(root[:, 4:6, 4:6])
+    step = root[:, 6:, 4:6] @ by_own
+    diagonal = root.diagonal(axis1=1, axis2=2)
+    misfit = diagonal[:, 6] ** 2 - 1.0
+    log_rest = log(2.0 * pi) - np.log(diagonal[:, :6]).sum(axis=1) - 0.5 * misfit
+    white_offset = (both @ step.swapaxes(1, 2))[..., 0] - model[..., 6]
+    return first + step[:, 0], by_own.swapaxes(1, 2) @ by_own, white_offset, log_rest, misfit
 
 
 @lru_cache(maxsize=16)

@@ -38,8 +38,8 @@ _MOST_WINDOWS = 7  # to each side
 def read(anchors: Anchors, posts: PostsSeen, field: ImageMap, turn_rad: float, least: float) -> Solved:
     """All readings that determine a pose, with how likely they are; those nowhere likelier than `least` are left out.
 
-    turn_rad: 2 pi, or the field's symmetry, of which then one turn is enough. The last anchor is the one that says
-    nothing.
+    turn_rad: 2 pi, or the field's symmetry, of which then one turn is enough. The last anchor may be one that says
+    nothing: then posts by themselves are readings too.
     """
     whole = _of_lines(anchors, len(posts))
     if not len(posts):
@@ -57,7 +57,7 @@ def read(anchors: Anchors, posts: PostsSeen, field: ImageMap, turn_rad: float, l
     if found is not None:
         best = float(whole.log_integrals.max(initial=-np.inf))
         straight = _straightened(found, anchors, posts, field, least, best)
-        out = whole.beside(_bent(straight, field, len(anchors) - 1))
+        out = whole.beside(_bent(straight, anchors, field))
     if len(more):
         out = out.beside(solve(more, anchors, posts, field, 1))
     return out.take(_log_peaks(out) > least)
@@ -121,7 +121,7 @@ def _pairs(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Readings:
     explain the distances best, which are two where the robot is aside of the posts to either hand.
     """
     count = len(posts)
-    if count < 2 or anchors.log_weights[-1] == -np.inf:
+    if count < 2 or anchors.rank[-1] > 0:
         return Readings.none(count)
     i, j = np.array(list(combinations(range(count), 2))).T
     together, covariance = seen_together(posts, i, j)
@@ -155,29 +155,30 @@ def _pairs(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Readings:
 
 def _with_more_posts(base: Solved, posts: PostsSeen, field: ImageMap) -> Readings:
     """The readings with further posts that stand where they should from the pose; each set of posts once."""
-    every = base.readings
-    predicted = posts.predicted(every.poses[:, None], field.landmarks)
+    poses, matched = base.readings.poses, base.readings.matched
+    predicted = posts.predicted(poses[:, None], field.landmarks)
     slope, error = predicted[..., :3], predicted[:, None, :, :, 3] - posts.fused[:, None]
     x, y = wrap(error[..., 0]), error[..., 1]
     # twice the sum, as the mount's errors are in both
     spread = (slope @ base.covariances[:, None] @ slope.swapaxes(2, 3))[:, None] + posts.fused_covariance[:, None]
     a, b, d = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
-    fits = d * x * x - 2.0 * b * x * y + a * y * y < 2.0 * _GATE * (a * d - b * b)
+    fits = (d * x - 2.0 * b * y) * x + a * y * y < 2.0 * _GATE * (a * d - b * b)
     fits &= posts.allowed
-    if (every.matched >= 0).any():
-        order = np.arange(len(posts))
-        last = np.where(every.matched >= 0, order, -1).max(axis=1)
+    order = np.arange(len(posts))
+    if (seen := matched >= 0).any():
+        last = np.where(seen, order, -1).max(axis=1)
         fits &= (order > last[:, None])[..., None]
     parents = np.arange(len(base))
-    for post in range(len(posts)):
-        row, mark = np.nonzero(fits[parents, post])
-        free = (every.matched[row] != mark[:, None]).all(axis=1)
-        if free.any():
-            row, mark = row[free], mark[free]
-            more = every.take(row)
-            more.matched[:, post] = mark
-            every, parents = every.beside(more), np.concatenate([parents, parents[row]])
-    return every.take(np.arange(len(base), len(every)))
+    for post in order.tolist():
+        row, mark = fits[parents, post].nonzero()
+        free = (matched[row] != mark[:, None]).all(axis=1)
+        row, mark = row[free], mark[free]
+        if len(row):
+            more = matched[row]
+            more[:, post] = mark
+            matched, parents = np.concatenate([matched, more]), np.concatenate([parents, parents[row]])
+    rows = parents[len(base) :]
+    return Readings(base.readings.anchors[rows], matched[len(base) :], poses[rows])
 
 
 def _straightened(
@@ -222,10 +223,10 @@ def _straightened(
     return found.take(straight).beside(cut)
 
 
-def _bent(found: Solved, field: ImageMap, none: int) -> Solved:
+def _bent(found: Solved, anchors: Anchors, field: ImageMap) -> Solved:
     """With the covariance of what is left of the bend where posts alone are known, second moment about the solution:
     s along a circle of radius r is s^2 / 2r aside of its tangent."""
-    rows = np.flatnonzero(found.readings.anchors == none)
+    rows = np.flatnonzero(anchors.rank[found.readings.anchors] == 0)
     if not len(rows):
         return found
     matched = found.readings.matched[rows]

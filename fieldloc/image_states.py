@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc import pose as se2
-from fieldloc.covariance import inverse_of_lower
+from fieldloc.covariance import chi_square_bounds, inverse_of_lower
 from fieldloc.image_anchors import Anchors
 from fieldloc.image_map import ImageMap
 from fieldloc.image_post_numbers import NUMBERS
@@ -130,10 +130,9 @@ def solve(
     diagonal = root.diagonal(axis1=1, axis2=2)
     misfit = diagonal[:, 7] ** 2 - 1.0
     log_volume = 1.5 * _LOG_2PI - np.log(diagonal[:, :7]).sum(axis=1)
-    degrees = np.maximum(is_matched @ posts.numbers + anchors.rank[rows] - 3 + (windows is not None), 1)
-    spread = 2.0 / (9.0 * degrees)  # Wilson and Hilferty, 1931
-    cube_root = 1.0 - spread + _SIGMAS * np.sqrt(spread)
-    possible = misfit < degrees * cube_root * cube_root * cube_root
+    degrees = (is_matched @ posts.numbers).astype(np.intp) + anchors.rank[rows] - 3 + (windows is not None)
+    degrees = np.maximum(degrees, 1)
+    possible = misfit < chi_square_bounds(len(model[0]), _SIGMAS)[degrees]
     possible &= inside(poses, field)
     if (free := anchors.free[rows]).any():
         possible &= _long_enough(poses, covariances, free, anchors.along_m[rows])

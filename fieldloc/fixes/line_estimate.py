@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldloc.covariance import chi_square_bounds, inverse_and_log_determinant
 from fieldloc.fixes.line_map import TurnedGrid
 from fieldloc.fixes.line_matching import GATE_SIGMAS, Matches, distinct, weights_of
 from fieldloc.fixes.lines import GroundLines
@@ -60,7 +61,7 @@ def solve(
     explaining = used.sum(axis=1)
     log_norm = -0.5 * (log_det + _LOG_2_PI * explaining)
     log_room = 0.5 * (_LOG_2_PI * len(states) - np.log(np.linalg.det(information)))
-    bound = _chi_square_bound(explaining - len(states))
+    bound = chi_square_bounds(1 + count, GATE_SIGMAS)[np.maximum(explaining - len(states), 0)]
 
     on_map = grid.offsets_m[matches.turns[:, None], families, matches.columns]
     target = np.empty((len(pattern), 1 + count))
@@ -123,9 +124,9 @@ def _without(covariance: FloatArray, left_out: NDArray[np.bool_]) -> tuple[Float
     A number is left out of the inverse of all by eliminating it there.
     """
     count, each = len(left_out), np.arange(len(left_out))
-    weight = np.empty((count, *covariance.shape))
-    weight[:] = np.linalg.inv(covariance)
-    log_det = np.full(count, np.linalg.slogdet(covariance)[1])
+    inverse, log_det_of_all = inverse_and_log_determinant(covariance)
+    weight, log_det = np.empty((count, *covariance.shape)), np.full(count, log_det_of_all)
+    weight[:] = inverse
     at_once = left_out.argsort(axis=1, kind="stable")
     for turn in range(1, 1 + int(left_out.sum(axis=1).max(initial=0))):
         number = at_once[:, -turn]
@@ -135,11 +136,3 @@ def _without(covariance: FloatArray, left_out: NDArray[np.bool_]) -> tuple[Float
         weight -= column[:, :, None] * (column / pivot[:, None])[:, None]
         log_det += np.log(pivot)
     return weight, log_det
-
-
-def _chi_square_bound(degrees: NDArray[np.intp]) -> FloatArray:
-    """Chi-square that noise exceeds as rarely as a normal variable exceeds GATE_SIGMAS (Wilson and Hilferty, 1931)."""
-    # without a degree of freedom rounding is all the misfit there is
-    spread = 2.0 / (9.0 * np.maximum(degrees, 1))
-    cube_root = 1.0 - spread + GATE_SIGMAS * np.sqrt(spread)
-    return np.where(degrees > 0, degrees * cube_root * cube_root * cube_root, np.inf)

@@ -140,15 +140,7 @@ class LineMatcher:
         options = np.empty((*fits.shape[:2], fits.shape[2] + 1), dtype=np.bool_)
         options[:, :, :-1] = fits
         options[:, :, -1] = fits.max(axis=2, initial=0) < 2
-        columns = options.argmax(axis=2)
-        parent = np.arange(len(turn))
-        for line in (options.sum(axis=2) > 1).any(axis=0).nonzero()[0].tolist():
-            row, column = options[parent, line].nonzero()
-            parent, columns = parent[row], columns[row]
-            columns[:, line] = column
-            if len(row) > _MOST:
-                best = self._best(fits, parent, columns)
-                parent, columns = parent[best], columns[best]
+        parent, columns = self._choices(fits, options)
         columns[columns == fits.shape[2]] = -1
         turn = turn[parent]
         left_out = columns < 0
@@ -160,9 +152,33 @@ class LineMatcher:
         rows, _ = distinct(columns @ weights[1:] + turn * weights[0])
         return Matches(turn[rows], columns[rows])
 
-    def _best(self, fits: NDArray[np.int8], parent: _IntArray, columns: _IntArray) -> _IntArray:
-        """So many as are followed of choices (k, n) from fits (p, n, m), in their order."""
-        quality = np.zeros((*fits.shape[:2], fits.shape[2] + 1), dtype=np.int8)
+    def _choices(self, fits: NDArray[np.int8], options: NDArray[np.bool_]) -> tuple[_IntArray, _IntArray]:
+        """Every choice (k, n) of one option (p, n, m) a line, and from which row it is (k,)."""
+        count = options.sum(axis=2)
+        choices = count.prod(axis=1, dtype=np.float64)
+        if choices.sum() > _MOST:
+            return self._likely_choices(fits, options)
+        total = choices.astype(np.intp)
+        parent = np.arange(len(options)).repeat(total)
+        number = np.arange(len(parent)) - (total.cumsum() - total)[parent]
+        # the options' numbers as digits of the choice's number
+        base = count.cumprod(axis=1)
+        digit = number[:, None] // (base // count)[parent] % count[parent]
+        column = options.argsort(axis=2)[:, :, ::-1]
+        return parent, column[parent[:, None], np.arange(options.shape[1]), digit]
+
+    def _likely_choices(self, fits: NDArray[np.int8], options: NDArray[np.bool_]) -> tuple[_IntArray, _IntArray]:
+        """The best of them, line by line."""
+        parent, columns = np.arange(len(options)), options.argmax(axis=2)
+        quality = np.zeros(options.shape, dtype=np.int8)
         quality[:, :, :-1] = fits
-        total = quality[parent[:, None], np.arange(len(self._families)), columns].sum(axis=1)
-        return np.sort(np.argsort(-total, kind="stable")[:_MOST])
+        total = np.zeros(len(options))
+        for line in (options.sum(axis=2) > 1).any(axis=0).nonzero()[0].tolist():
+            row, column = options[parent, line].nonzero()
+            total = total[row] + quality[parent[row], line, column]
+            if len(row) > _MOST:
+                best = np.sort(np.argsort(-total, kind="stable")[:_MOST])
+                row, column, total = row[best], column[best], total[best]
+            parent, columns = parent[row], columns[row]
+            columns[:, line] = column
+        return parent, columns

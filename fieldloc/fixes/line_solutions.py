@@ -24,7 +24,7 @@ from fieldloc.fixes.line_estimate import Solved, log_ends_fit, solve, with_map_n
 from fieldloc.fixes.line_map import turned_grid
 from fieldloc.fixes.line_matching import LineMatcher
 from fieldloc.fixes.lines import GroundLines
-from fieldloc.pose import FloatArray, rotation3, wrap
+from fieldloc.pose import FloatArray, wrap
 from fieldloc.stacks import LineStack
 
 MOST = 64
@@ -163,7 +163,8 @@ class _Reader:
         poses[:, 0], poses[:, 1] = c * x - s * y, s * x + c * y
         poses[:, 2] = heading + 0.5 * np.pi * turns + grid.heading_rad
         # in the turned grid the robot's heading is minus the bearing, up to the noise of that
-        to_robot = rotation3(lines.bearing_rad)
+        cb, sb = math.cos(lines.bearing_rad), math.sin(lines.bearing_rad)
+        to_robot = np.array([[cb, -sb, 0.0], [sb, cb, 0.0], [0.0, 0.0, 1.0]])
         full = to_robot @ found.covariances @ to_robot.T
         pixel = to_robot @ found.pixel_covariances @ to_robot.T
         by_mount = to_robot @ found.by_mount

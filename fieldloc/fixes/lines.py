@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from fieldloc.camera import Camera
+from fieldloc.covariance import inverse_and_log_determinant
 from fieldloc.fixes.line_segments import LineSegments, agreeing, bearing_by_attitude, modulo_quarter, usable_segments
 from fieldloc.ground import attitude_axes, cross, robot_from_camera
 from fieldloc.measurements import CameraMount, LineObservation
@@ -113,7 +114,7 @@ def _fit(mount: CameraMount, root: FloatArray, segments: LineSegments, bearing: 
         moved = _moved(mount, root @ x[1:])
         if settled:
             break
-    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    covariance, _ = inverse_and_log_determinant(information)
     misfit = weight * residual * residual
     # what is left of a line's one residual after its own say in the estimate
     redundancy = 1.0 - weight * ((jacobian @ covariance) * jacobian).sum(axis=1)
