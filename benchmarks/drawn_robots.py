@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.config import Config
-from estimators.motion import HeldVelocity
+from estimators.motion import PARTS, HeldVelocity
 from fieldloc import pose as se2
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan, Measurement, Odometry
@@ -30,8 +30,8 @@ _LEAST, _MOST = 0.05, 9.0  # shares of stated variances that fieldloc.scan_noise
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnRobot:
-    """calibration: (6,) of the odometry, sensor (4,) of the eyes, as in the settings. late_s: it does so much later
-    what the odometry says. motion_scales: (2,) of variances along the way and of turns. own, shared: (2,) variances of
+    """calibration: (7,) of the odometry, sensor (4,) of the eyes, as in the settings. late_s: it does so much later
+    what the odometry says. motion_scales: (PARTS,) of the variances. own, shared: (2,) variances of
     a landmark's own error in range and bearing, and of what a scan shares, as shares of the stated ones. distortion:
     of its scans."""
 
@@ -69,7 +69,7 @@ def drawn_robot(config: Config, random: np.random.Generator) -> DrawnRobot:
         random.normal(calibration.means(), calibration.sigmas()),
         random.normal(sensor.means(), sensor.sigmas()),
         random.normal(calibration.odometry_delay_s, calibration.odometry_delay_sigma_s),
-        np.exp(config.motion.log_scale_sigma * random.standard_normal(2)),
+        np.exp(config.motion.log_scale_sigma * random.standard_normal(PARTS)),
         own,
         np.array([shared_range, max(1.0 - own[1], noise.shared)]),
         ScanDistortion(*random.normal(config.scan_distortion.means(), config.scan_distortion.sigmas()).tolist()),

@@ -69,7 +69,7 @@ class Quantity:
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotCalibration:
     """quantities: in the order of estimators.solution. late: how late the robot does what its odometry says.
-    covariance: (10, 10) of the former.
+    covariance: (11, 11) of the former.
 
     disagreement: chi-square per degree of freedom of several logs about their common estimate, 1 where they agree as
     well as they claim to; where it is more, all sigmas are wider by its root. NaN for one log.

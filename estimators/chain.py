@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimators.motion import STANDSTILL, Increment
+from estimators.motion import CALIBRATION, STANDSTILL, Increment
 from estimators.sensor import lever, seen_from
 from fieldloc import pose as se2
 from fieldloc.factors import Factor
@@ -33,7 +33,7 @@ class Chain:
 
     def velocities(self, calibration: FloatArray) -> FloatArray:
         """(n, 3) of the robot just before each node, robot frame, m/s and rad/s, by an odometry of that calibration
-        (6,)."""
+        (7,)."""
         if not self.motions:
             return np.zeros((len(self.stamps_ns), 3))
         moved = np.array([motion.before_from_after for motion in self.motions])
@@ -51,7 +51,7 @@ class Chain:
 
 def levers(stamps_ns: Sequence[int], motions: Sequence[Increment]) -> FloatArray:
     """(n, 3, 4) as Chain.levers, by an odometry that is taken at its word."""
-    return Chain(tuple(stamps_ns), tuple(motions), (), np.zeros((0, 3))).levers(np.zeros(6))
+    return Chain(tuple(stamps_ns), tuple(motions), (), np.zeros((0, 3))).levers(np.zeros(CALIBRATION))
 
 
 def velocities(moved: FloatArray, miscalibrated: FloatArray, durations_s: FloatArray) -> FloatArray:

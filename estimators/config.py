@@ -28,14 +28,14 @@ class MotionNoise:
     forward_m_per_sqrt_m: float = 0.08
     sideways_m_per_sqrt_m: float = 0.05
     turn_rad_per_sqrt_rad: float = 0.08
-    turn_rad_per_sqrt_m: float = 0.08
+    turn_rad_per_sqrt_m: float = 0.05
     idle_m_per_sqrt_s: float = 0.001
     idle_rad_per_sqrt_s: float = 0.001
     max_hold_s: float = 2.0
     """A velocity is believed this long; after it the robot may do anything that the two below allow."""
     silent_m_per_sqrt_s: float = 0.3
     silent_rad_per_sqrt_s: float = 0.5
-    log_scale_sigma: float = 0.5
+    log_scale_sigma: float = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,22 +131,24 @@ class Calibration:
     crab_sigma_rad: float = 0.1
     drift_sigma_mps: float = 0.02
     turn_drift_sigma_radps: float = 0.02
+    turn_slowing_sigma_s: float = 0.3
     scale: float = 0.0
     turn_scale: float = 0.0
     veer_rad_per_m: float = 0.0
     crab_rad: float = 0.0
     drift_mps: float = 0.0
     turn_drift_radps: float = 0.0
+    turn_slowing_s: float = 0.0
     odometry_delay_sigma_s: float = 0.15
     odometry_delay_s: float = 0.0
 
     def means(self) -> FloatArray:
-        """(6,) in the order of OdometryCalibration."""
-        return np.array(astuple(self)[6:12])
+        """(7,) in the order of OdometryCalibration."""
+        return np.array(astuple(self)[7:14])
 
     def sigmas(self) -> FloatArray:
-        """(6,) in the order of OdometryCalibration."""
-        return np.array(astuple(self)[:6])
+        """(7,) in the order of OdometryCalibration."""
+        return np.array(astuple(self)[:7])
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from estimators.base import Estimate, Innovation
 from estimators.config import Config
 from estimators.divergence import Restart
 from estimators.legs import Legs
-from estimators.motion import STANDSTILL, HeldVelocity
-from estimators.views import CALIBRATION, LATE, OFFSET, SIZE, View, Views, of_factor, prior
+from estimators.motion import CALIBRATION, STANDSTILL, HeldVelocity
+from estimators.views import LATE, OFFSET, SIZE, View, Views, of_factor, prior
 from fieldloc import pose as se2
 from fieldloc.covariance import propagate, squared_mahalanobis
 from fieldloc.factors import Factor, HeadingFactor, PoseFactor

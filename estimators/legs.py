@@ -4,11 +4,12 @@ A leg is a stretch of way at whose end the robot knows its pose much better than
 filter that knows its noise, the correction d over a leg has covariance C = carried - known: that of the pose carried
 from the leg's start by the odometry, less that at its end (corrections are independent of what is known after them).
 
-    log p(d) = -1/2 (log |C| + d' C^-1 d),   C = C0 + s1 C1 + s2 C2
+    log p(d) = -1/2 (log |C| + d' C^-1 d),   C = C0 + s1 C1 + s2 C2 + s3 C3
 
-with C1, C2 of the noise along the way and of the turns. Fisher scoring, leg by leg, gives the logarithms of s1, s2
-(maximum likelihood on innovations, but over legs: short ones would say how alike consecutive sights err, and what slips
-slowly shows only in long ones). d is weighed as of a Student-t distribution: no outlier has more than a say.
+with C1 of the noise along the way, C2 and C3 of that of the heading, as it turns and as it goes. Fisher scoring, leg by
+leg, gives the logarithms of s1, s2 and s3 (maximum likelihood on innovations, but over legs: short ones would say how
+alike consecutive sights err, and what slips slowly shows only in long ones). d is weighed as of a Student-t
+distribution: no outlier has more than a say.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimators.config import MotionNoise
-from estimators.motion import STANDSTILL, Increment
+from estimators.motion import PARTS, STANDSTILL, Increment
 from fieldloc import pose as se2
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.pose import FloatArray
@@ -30,8 +31,8 @@ _MOST = 4.0
 
 
 def as_noisy(motions: Sequence[Increment], scales: FloatArray) -> tuple[Increment, ...]:
-    """The motions of an odometry that is noisier by these factors (2,), where it does not state its covariance."""
-    parts = np.array([motion.parts for motion in motions]).reshape(-1, 2, 3, 3)
+    """The motions of an odometry that is noisier by these factors (PARTS,), where it does not state its covariance."""
+    parts = np.array([motion.parts for motion in motions]).reshape(-1, PARTS, 3, 3)
     more = np.tensordot(parts, scales - 1.0, ((1,), (0,)))
     return tuple(
         replace(motion, covariance=motion.covariance + added, parts=scales[:, None, None] * part)
@@ -44,14 +45,14 @@ def as_noisy(motions: Sequence[Increment], scales: FloatArray) -> tuple[Incremen
 class Legs:
     def __init__(self, noise: MotionNoise) -> None:
         self._sigma = noise.log_scale_sigma
-        self._logs = np.zeros(2)
-        self._information = np.eye(2) / max(self._sigma, 1e-6) ** 2
+        self._logs = np.zeros(PARTS)
+        self._information = np.eye(PARTS) / max(self._sigma, 1e-6) ** 2
         self._scales = self._mean()
         self._start: FloatArray | None = None
 
     @property
     def scales(self) -> FloatArray:
-        """(2,) by how much the variances along the way and of the turns are larger than was thought."""
+        """(PARTS,) by how much the variances are larger than was thought."""
         return self._scales
 
     def begin(self, pose: FloatArray, covariance: FloatArray, calibration: FloatArray) -> None:
@@ -102,5 +103,5 @@ class Legs:
     def _mean(self) -> FloatArray:
         """Of the scales, whose logarithms are known to be normal about what is thought of them."""
         if self._sigma == 0.0:
-            return np.ones(2)
+            return np.ones(PARTS)
         return np.exp(self._logs + 0.5 * np.diag(np.linalg.inv(self._information)))

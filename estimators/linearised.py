@@ -12,9 +12,10 @@ import numpy as np
 
 from estimators.chain import Chain, velocities
 from estimators.config import Config
+from estimators.motion import CALIBRATION
 from estimators.sensor import LEVER_BY_VELOCITY
 from estimators.sensor import lever as lever_at
-from estimators.solution import CALIBRATION, MOTION_FLOOR, WEAK_SIGMAS, global_means, global_sigmas
+from estimators.solution import MOTION_FLOOR, WEAK_SIGMAS, global_means, global_sigmas
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor, is_by_sight
 from fieldloc.mixture import IntArray
@@ -55,8 +56,8 @@ class Group(NamedTuple):
 class Linearised:
     """free: (GLOBALS,) which of what is the same over all of the chain is not fixed.
 
-    means, sigmas: (GLOBALS,) of the priors. durations_s (n - 1,), moved (n - 1, 3), by_calibration (n - 1, 3, 6): of
-    the motions; motion_roots (n - 1, 3, 3): their whiteners.
+    means, sigmas: (GLOBALS,) of the priors. durations_s (n - 1,), moved (n - 1, 3), by_calibration
+    (n - 1, 3, CALIBRATION): of the motions; motion_roots (n - 1, 3, 3): their whiteners.
     """
 
     def __init__(self, chain: Chain, config: Config) -> None:

@@ -3,7 +3,7 @@
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -14,12 +14,15 @@ from fieldloc.pose import FloatArray
 
 MAX_GAP_S = 60.0  # a longer silence, or a clock that jumped, makes the pose no more unknown than this
 MAX_PERIOD_S = 1.0
+PARTS = 3
+"""Of the noise: along the way, of its heading by how far it turns, of its heading by how far it goes."""
 # how much of a motion is left at Gauss's two points: exact up to cubic, so straight ahead
 GAUSS_POINTS = (0.5 + 0.5 / 3**0.5, 0.5 - 0.5 / 3**0.5)
 _SMALL_ANGLE_RAD = 1e-4
-_AS_SAID = np.ones(2)
-_NO_PARTS = np.zeros((2, 3, 3))
-_OF_WHAT = np.array([0, 0, 1])  # part that noise forward, to the left and turning belongs to
+Number = TypeVar("Number", float, FloatArray)
+_NO_PARTS = np.zeros((PARTS, 3, 3))
+_AS_SAID = np.ones(PARTS)
+_OF_WHAT = np.array([0, 0, 1, 2])  # part that each of MotionNoise.density belongs to
 
 
 class OdometryCalibration(NamedTuple):
@@ -27,7 +30,8 @@ class OdometryCalibration(NamedTuple):
 
     Distances are longer by `scale`, turns by `turn_scale`; the robot turns `veer_rad_per_m` while it means to walk
     straight, and walks `crab_rad` to the left of where its heading points. `drift_mps` forward and `turn_drift_radps`
-    are there at standstill too: a rate sensor's offset.
+    are there at standstill too: a rate sensor's offset. While it turns the robot is slower than it says, by
+    `turn_slowing_s` of its speed for each rad/s: steps are shorter in a turn, wheels share their speed with it.
     """
 
     scale: float = 0.0
@@ -36,12 +40,17 @@ class OdometryCalibration(NamedTuple):
     crab_rad: float = 0.0
     drift_mps: float = 0.0
     turn_drift_radps: float = 0.0
+    turn_slowing_s: float = 0.0
+
+
+CALIBRATION = len(OdometryCalibration._fields)
 
 
 def calibrated_velocity(velocity: FloatArray, calibration: FloatArray) -> FloatArray:
-    """(3,) that a robot really has whose odometry of that calibration (6,) says `velocity` (3,)."""
-    scale, turn_scale, veer, crab, drift, turn_drift = calibration.tolist()
+    """(3,) that a robot really has whose odometry of that calibration (c,) says `velocity` (3,)."""
+    scale, turn_scale, veer, crab, drift, turn_drift, slowing = calibration.tolist()
     forward, left, turn = velocity.tolist()
+    scale -= slowing * abs(turn)
     return np.array(
         [
             forward * (1.0 + scale) - crab * left + drift,
@@ -51,13 +60,27 @@ def calibrated_velocity(velocity: FloatArray, calibration: FloatArray) -> FloatA
     )
 
 
+def noise_density(noise: MotionNoise, forward: Number, left: Number, turn: Number) -> tuple[Number, ...]:
+    """Four variances per second, of velocities without their signs: forward, to the left, of the heading as it turns
+    and as it goes."""
+    idle_m2, idle_rad2 = noise.idle_m_per_sqrt_s**2, noise.idle_rad_per_sqrt_s**2
+    # sideways motion is as uncertain along its way as forward motion is
+    along2, across2 = noise.forward_m_per_sqrt_m**2, noise.sideways_m_per_sqrt_m**2
+    return (
+        along2 * forward + across2 * left + idle_m2,
+        along2 * left + across2 * forward + idle_m2,
+        noise.turn_rad_per_sqrt_rad**2 * turn,
+        noise.turn_rad_per_sqrt_m**2 * (forward * forward + left * left) ** 0.5 + idle_rad2,
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
     """Motion over an interval: field_from_after = field_from_before @ before_from_after.
 
     covariance: (3, 3) of its error, a robot-frame tangent at the end.
-    by_calibration: (3, 6) the change of that tangent with the odometry's calibration.
-    parts: (2, 3, 3) of the covariance, what comes of noise along the way and of noise of the turns.
+    by_calibration: (3, CALIBRATION) the change of that tangent with the odometry's calibration.
+    parts: (PARTS, 3, 3) of the covariance, what comes of which noise.
     """
 
     before_from_after: FloatArray
@@ -75,7 +98,7 @@ class Increment:
         )
 
     def calibrated(self, calibration: FloatArray) -> "Increment":
-        """The motion of an odometry with that calibration (6,), of which this is the uncalibrated one."""
+        """The motion of an odometry with that calibration (c,), of which this is the uncalibrated one."""
         moved = np.array(_arc(*(self.by_calibration @ calibration).tolist()))
         return Increment(_composed(self.before_from_after, moved), self.covariance, self.by_calibration, self.parts)
 
@@ -91,14 +114,14 @@ class Increment:
         return np.asarray(back @ covariance @ back.T)
 
 
-STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)), np.zeros((3, 6)))
+STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)), np.zeros((3, CALIBRATION)))
 
 
 class HeldVelocity:
     """Turns odometry messages and the stamps at which the pose is asked for into increments.
 
-    Stamps that run backwards move nothing; an odometry message older than the last one is not used. scales: (2,) of
-    the variances along the way and of the turns, where the odometry does not state them. delay_s: what a message says
+    Stamps that run backwards move nothing; an odometry message older than the last one is not used. scales:
+    (PARTS,) of the variances, where the odometry does not state them. delay_s: what a message says
     happens so much later than its stamp.
     """
 
@@ -171,46 +194,31 @@ class HeldVelocity:
         spread = _spread(forward, left, turn)
         if stated is None:
             # white along the way: each part of it is carried to the end
-            density = self._density(velocity) * self.scales[_OF_WHAT]
-            parts = np.zeros((2, 3, 3))
+            density = np.array(noise_density(self._noise, *map(abs, velocity.tolist()))) * self.scales[_OF_WHAT]
+            parts = np.zeros((PARTS, 3, 3))
             for point in GAUSS_POINTS:
                 to_end = _after(np.array(_arc(point * forward, point * left, point * turn)))
                 parts[0] += (to_end[:, :2] * density[:2]) @ to_end[:, :2].T
-                parts[1] += density[2] * to_end[:, 2:] * to_end[:, 2]
+                parts[1:] += density[2:, None, None] * (to_end[:, 2:] * to_end[:, 2])
             parts *= 0.5 * duration_s
-            covariance = parts[0] + parts[1]
+            covariance = parts.sum(axis=0)
         else:
             # one error for all of a message: over a part of its period it counts in proportion
             covariance = spread @ stated @ spread.T * ((self._period_s or duration_s) * duration_s)
             parts = _NO_PARTS
+        turning = abs(float(velocity[2]))
         by_calibration = np.array(
             [
-                [forward, 0.0, 0.0, -left, duration_s, 0.0],
-                [left, 0.0, 0.0, forward, 0.0, 0.0],
-                [0.0, turn, forward, 0.0, 0.0, duration_s],
+                [forward, 0.0, 0.0, -left, duration_s, 0.0, -turning * forward],
+                [left, 0.0, 0.0, forward, 0.0, 0.0, -turning * left],
+                [0.0, turn, forward, 0.0, 0.0, duration_s, 0.0],
             ]
         )
         return Increment(np.array(_arc(forward, left, turn)), covariance, spread @ by_calibration, parts)
 
-    def _density(self, velocity: FloatArray) -> FloatArray:
-        """(3,) variances per second."""
-        n = self._noise
-        forward, left, turn = velocity.tolist()
-        speed = (forward * forward + left * left) ** 0.5
-        idle_m2, idle_rad2 = n.idle_m_per_sqrt_s**2, n.idle_rad_per_sqrt_s**2
-        # sideways motion is as uncertain along its way as forward motion is
-        along2, across2 = n.forward_m_per_sqrt_m**2, n.sideways_m_per_sqrt_m**2
-        return np.array(
-            [
-                along2 * abs(forward) + across2 * abs(left) + idle_m2,
-                along2 * abs(left) + across2 * abs(forward) + idle_m2,
-                n.turn_rad_per_sqrt_rad**2 * abs(turn) + n.turn_rad_per_sqrt_m**2 * speed + idle_rad2,
-            ]
-        )
-
     def _silent(self, duration_s: float) -> Increment:
         position, heading = self._noise.silent_m_per_sqrt_s**2, self._noise.silent_rad_per_sqrt_s**2
-        return Increment(np.zeros(3), np.diag([position, position, heading]) * duration_s, np.zeros((3, 6)))
+        return Increment(np.zeros(3), np.diag([position, position, heading]) * duration_s, np.zeros((3, CALIBRATION)))
 
 
 def _joined(one: Increment | None, other: Increment | None) -> Increment | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.config import MotionNoise
-from estimators.motion import GAUSS_POINTS, MAX_GAP_S, MAX_PERIOD_S, Increment
+from estimators.motion import CALIBRATION, GAUSS_POINTS, MAX_GAP_S, MAX_PERIOD_S, PARTS, Increment, noise_density
 from fieldloc import pose as se2
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
@@ -75,15 +75,17 @@ class Said:
         says_so[held] = says[which[held]]
         tangent = velocity * duration_s[:, None]
         spread = se2.right_jacobian(tangent)
-        density = _density(noise, velocity)
-        parts = np.zeros((count, 2, 3, 3))
+        density = np.stack(noise_density(noise, *np.abs(velocity).T), axis=-1)
+        parts = np.zeros((count, PARTS, 3, 3))
         for point in GAUSS_POINTS:
             to_end = se2.adjoint(se2.inverse(se2.exp(point * tangent)))
             parts[:, 0] += (to_end[:, :, :2] * density[:, None, :2]) @ np.swapaxes(to_end[:, :, :2], 1, 2)
-            parts[:, 1] += (to_end[:, :, 2:] * density[:, None, 2:]) @ np.swapaxes(to_end[:, :, 2:], 1, 2)
+            parts[:, 1:] += (
+                density[:, 2:, None, None] * (to_end[:, :, 2:] @ np.swapaxes(to_end[:, :, 2:], 1, 2))[:, None]
+            )
         parts *= 0.5 * duration_s[:, None, None, None]
         parts[says_so | ~held] = 0.0
-        covariance = parts[:, 0] + parts[:, 1]
+        covariance = parts.sum(axis=1)
         if says_so.any():
             known = np.array([np.zeros((3, 3)) if one.covariance is None else one.covariance for one in self._held])
             period_s = np.array(self._period_s)[which]
@@ -94,28 +96,14 @@ class Said:
         position, heading = noise.silent_m_per_sqrt_s**2, noise.silent_rad_per_sqrt_s**2
         covariance[~held] = np.diag([position, position, heading]) * silent_s[~held, None, None]
         forward, left, turn = tangent.T
-        change = np.zeros((count, 3, 6))
+        change = np.zeros((count, 3, CALIBRATION))
         change[:, 0, 0], change[:, 0, 3], change[:, 0, 4] = forward, -left, duration_s
         change[:, 1, 0], change[:, 1, 3] = left, forward
         change[:, 2, 1], change[:, 2, 2], change[:, 2, 5] = turn, forward, duration_s
+        turning = np.abs(velocity[:, 2])
+        change[:, 0, 6], change[:, 1, 6] = -turning * forward, -turning * left
         change[~held] = 0.0
         return se2.exp(tangent), covariance, spread @ change, parts
-
-
-def _density(n: MotionNoise, velocity: FloatArray) -> FloatArray:
-    """(m, 3) variances per second."""
-    forward, left, turn = np.abs(velocity).T
-    idle_m2, idle_rad2 = n.idle_m_per_sqrt_s**2, n.idle_rad_per_sqrt_s**2
-    along2, across2 = n.forward_m_per_sqrt_m**2, n.sideways_m_per_sqrt_m**2
-    speed = np.hypot(forward, left)
-    return np.stack(
-        [
-            along2 * forward + across2 * left + idle_m2,
-            along2 * left + across2 * forward + idle_m2,
-            n.turn_rad_per_sqrt_rad**2 * turn + n.turn_rad_per_sqrt_m**2 * speed + idle_rad2,
-        ],
-        axis=-1,
-    )
 
 
 def _joined(

@@ -1,7 +1,7 @@
 """What a solver of a chain gives back, and what solvers agree on: the numbers that a chain's factors are of.
 
 A solver is a function `solve(chain, config, near) -> Solution`. Beside the poses it solves for what is the same over
-the whole chain, `GLOBALS` numbers in this order: the odometry's calibration (6), the sensor's (4). Their priors have
+the whole chain, `GLOBALS` numbers in this order: the odometry's calibration (7), the sensor's (4). Their priors have
 the means `global_means` and the sigmas `global_sigmas`; a sigma of 0 takes the number at its mean. A compass' offset
 over time comes on top (estimators.compass_knots).
 
@@ -23,11 +23,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.config import Config
-from estimators.motion import OdometryCalibration
+from estimators.motion import CALIBRATION, OdometryCalibration
 from estimators.sensor import SENSOR, SensorCalibration
 from fieldloc.pose import FloatArray
 
-CALIBRATION = len(OdometryCalibration._fields)
 GLOBALS = CALIBRATION + SENSOR
 MOTION_FLOOR = np.diag([1e-4, 1e-4, 1e-4]) ** 2
 """(3, 3) added to each motion's covariance. A robot that stands still for a moment moves less; a system with much

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimators.chain import Recorded, levers
 from estimators.config import Config
-from estimators.motion import Increment
+from estimators.motion import CALIBRATION, Increment
 from estimators.sensor import SENSOR
 from estimators.solution import global_means, global_sigmas
 from estimators.ways import Ways
@@ -24,9 +24,10 @@ from fieldloc.pose import FloatArray
 
 NO_HINT = -2
 _OFFSET = 3
-_CALIBRATION = slice(4, 10)
-_SENSOR = slice(10, 10 + SENSOR)
+_CALIBRATION = slice(4, 4 + CALIBRATION)
+_SENSOR = slice(4 + CALIBRATION, 4 + CALIBRATION + SENSOR)
 _STATES = _SENSOR.stop
+_ODOMETRY, _EYES = slice(1, 1 + CALIBRATION), slice(1 + CALIBRATION, None)  # in what is kept beside the pose
 _LEARNT_FROM = 60  # sights after a seed
 _ROUGHLY = np.diag([0.3, 0.3, 0.15]) ** 2
 _HINT_WORTH = 10.0  # a hint is followed while it is at most so much (log) less likely than the best
@@ -151,7 +152,7 @@ class _Sweep:
                 elapsed_s = (stamps_ns[node] - stamps_ns[ways.stops[stop - 1]]) * 1e-9
                 self._move(ways.stages[stop - 1], elapsed_s, True)
             self._look(node)
-            alive[stop], poses[stop], calibrations[stop] = self._alive, self._pose, self._rest[:, 1:7]
+            alive[stop], poses[stop], calibrations[stop] = self._alive, self._pose, self._rest[:, _ODOMETRY]
         at = ways.since
         changed = (ways.by_calibration[:, None] @ calibrations[at][..., None])[..., 0]
         out = se2.compose(poses[at], se2.retract(ways.moved[:, None], changed))
@@ -168,7 +169,7 @@ class _Sweep:
                 elapsed_s = (stamps_ns[ways.stops[stop + 1]] - stamps_ns[node]) * 1e-9
                 self._move(ways.stages[stop], elapsed_s, False)
             self._look(node)
-            alive[stop], poses[stop], calibrations[stop] = self._alive, self._pose, self._rest[:, 1:7]
+            alive[stop], poses[stop], calibrations[stop] = self._alive, self._pose, self._rest[:, _ODOMETRY]
         nodes = np.arange(len(stamps_ns))
         at = np.minimum(ways.since + (nodes != ways.stops[ways.since]), len(ways.stops) - 1)
         changed = (ways.left_by_calibration[:, None] @ calibrations[at][..., None])[..., 0]
@@ -179,7 +180,7 @@ class _Sweep:
     def _stories(self) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
         """Room for which tracks are alive at each stop, (s, k), their poses and the odometry's calibration."""
         shape = len(self._ways.stops), len(self._seeds)
-        return np.zeros(shape, dtype=bool), np.zeros((*shape, 3)), np.zeros((*shape, 6))
+        return np.zeros(shape, dtype=bool), np.zeros((*shape, 3)), np.zeros((*shape, CALIBRATION))
 
     def _look(self, node: int) -> None:
         """At all that was seen at a node, by the tracks that have begun."""
@@ -204,7 +205,7 @@ class _Sweep:
         self.choices[track, seed.at] = seed.choice
 
     def _move(self, motion: Increment, elapsed_s: float, forwards: bool) -> None:
-        moved = se2.retract(motion.before_from_after, self._rest[:, 1:7] @ motion.by_calibration.T)
+        moved = se2.retract(motion.before_from_after, self._rest[:, _ODOMETRY] @ motion.by_calibration.T)
         carry = np.tile(np.eye(_STATES), (len(moved), 1, 1))
         back = se2.inverse(moved)
         if forwards:
@@ -237,7 +238,7 @@ class _Sweep:
             to_seen[:, 2, _OFFSET] = 1.0
             poses[:, 2] = se2.wrap(poses[:, 2] + self._rest[tracks, 0])
         if mixture.by_sight:
-            turned = self._rest[tracks, 7:] @ self._levers[node].T
+            turned = self._rest[tracks, _EYES] @ self._levers[node].T
             poses = se2.retract(poses, turned)
             to_seen[:, :, :3] = se2.adjoint(se2.inverse(se2.exp(turned)))
             to_seen[:, :, _SENSOR] = self._levers[node]

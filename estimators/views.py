@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.config import Config
-from estimators.motion import HeldVelocity, OdometryCalibration, calibrated_velocity
+from estimators.motion import CALIBRATION, HeldVelocity, calibrated_velocity
 from estimators.sensor import SENSOR, lever
 from fieldloc import pose as se2
 from fieldloc.covariance import propagate
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.pose import FloatArray
 
-CALIBRATION = len(OdometryCalibration._fields)
 EXTRA = CALIBRATION + SENSOR + 2
 SIZE = 3 + EXTRA
 EYES = slice(3 + CALIBRATION, 3 + CALIBRATION + SENSOR)
@@ -34,7 +33,7 @@ _NONE = np.zeros((3, 3))
 
 
 def prior(config: Config) -> tuple[FloatArray, FloatArray]:
-    """Mean (12,) and covariance (12, 12) of what is kept beside the pose."""
+    """Mean (EXTRA,) and covariance (EXTRA, EXTRA) of what is kept beside the pose."""
     mean = np.concatenate([config.calibration.means(), config.sensor.means(), [0.0, 0.0]])
     eyes, compass = config.sensor.sigmas(), config.compass.offset_sigma_rad
     return mean, np.diag(np.concatenate([config.calibration.sigmas(), eyes, [0.0, compass]]) ** 2)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.motion import Increment
+from estimators.motion import CALIBRATION, Increment
 from fieldloc import pose as se2
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
@@ -17,8 +17,8 @@ _LONGEST = 32  # nodes
 class Ways:
     """stops: (s,) nodes, the first and the last one among them. since: (n,) which stop each node is at or after.
 
-    stages: (s - 1,) motions from stop to stop. moved (n, 3), by_calibration (n, 3, 6): of the way from the stop before
-    to each node; left, left_by_calibration: on to the next one. Zero at stops.
+    stages: (s - 1,) motions from stop to stop. moved (n, 3), by_calibration (n, 3, CALIBRATION): of the way from the
+    stop before to each node; left, left_by_calibration: on to the next one. Zero at stops.
     """
 
     stops: IntArray
@@ -37,9 +37,9 @@ class Ways:
         since = np.searchsorted(stops, np.arange(count), side="right") - 1
         step = np.array([motion.before_from_after for motion in motions]).reshape(-1, 3)
         noise = np.array([motion.covariance for motion in motions]).reshape(-1, 3, 3)
-        change = np.array([motion.by_calibration for motion in motions]).reshape(-1, 3, 6)
-        moved, by_calibration = np.zeros((count, 3)), np.zeros((count, 3, 6))
-        left, left_change = np.zeros((count, 3)), np.zeros((count, 3, 6))
+        change = np.array([motion.by_calibration for motion in motions]).reshape(-1, 3, CALIBRATION)
+        moved, by_calibration = np.zeros((count, 3)), np.zeros((count, 3, CALIBRATION))
+        left, left_change = np.zeros((count, 3)), np.zeros((count, 3, CALIBRATION))
         first, lasts = stops[:-1], np.diff(stops)
         whole = [np.zeros((len(first), *like.shape[1:])) for like in (step, noise, change)]
         for k in range(1, int(lasts.max(initial=0)) + 1):

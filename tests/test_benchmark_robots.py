@@ -10,11 +10,12 @@ from benchmarks.drawn_mounts import found_mount
 from benchmarks.drawn_robots import DrawnRobot, drawn_robot, drive
 from benchmarks.robots import NAMES, Driven, Found, coverage, driven_by
 from estimators.config import Config
+from estimators.motion import CALIBRATION, PARTS
 from fieldloc import pose as se2
 from fieldloc.measurements import LandmarkScan, Odometry
 
 CONFIG = Config()
-PERFECT = DrawnRobot(np.zeros(6), np.zeros(4), 0.0, np.full(2, 1e-9), np.zeros(2), np.zeros(2))
+PERFECT = DrawnRobot(np.zeros(CALIBRATION), np.zeros(4), 0.0, np.full(PARTS, 1e-9), np.zeros(2), np.zeros(2))
 
 
 def rows(text: str) -> dict[str, list[str]]:
@@ -86,7 +87,8 @@ def test_a_robot_is_found_to_be_what_it_is() -> None:
     assert min(inside([one], 4.0).values()) == 1.0
     by_name = {found.name: found for found in one.batch}
     assert all(abs(by_name[name].error) < 0.5 * by_name[name].prior for name in ("scale", "turn_scale"))
-    assert all(by_name[name].sigma < 0.5 * by_name[name].prior for name in ("scale", "turn_scale"))
+    # a robot that turns all the time: how much slower it is then is not wholly told from how fast it is
+    assert all(by_name[name].sigma < 0.6 * by_name[name].prior for name in ("scale", "turn_scale"))
     assert np.mean(one.batch_errors[:, 3]) / 3.0 < 3.0
     # looking back knows more
     assert np.mean(one.batch_errors[:, 1] ** 2) < np.mean(one.online_errors[:, 1] ** 2)

@@ -5,12 +5,13 @@ import numpy as np
 from benchmarks.drawn_robots import DrawnRobot, drive
 from estimators.calibrated import Quantity
 from estimators.config import Config, Graph
+from estimators.motion import CALIBRATION, PARTS
 from fieldloc.scan_distortion import ScanDistortion
 from logs.calibrating import calibrate_recordings
 
 CONFIG = Config(graph=Graph(engine="chain"))
 CAMERA = ScanDistortion(0.03, 0.9, 0.02, -0.02)
-ROBOT = DrawnRobot(np.zeros(6), np.zeros(4), 0.0, np.ones(2), np.full(2, 0.3), np.full(2, 0.1), CAMERA)
+ROBOT = DrawnRobot(np.zeros(CALIBRATION), np.zeros(4), 0.0, np.ones(PARTS), np.full(2, 0.3), np.full(2, 0.1), CAMERA)
 
 
 def found(logs: int) -> dict[str, Quantity]:

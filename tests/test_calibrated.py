@@ -9,7 +9,7 @@ import pytest
 from estimators.calibrated import Quantity, RobotCalibration, calibrated
 from estimators.config import Calibration, Config, Sensor
 from estimators.config_file import load_config
-from estimators.motion import OdometryCalibration
+from estimators.motion import CALIBRATION, OdometryCalibration
 from estimators.sensor import SensorCalibration
 from estimators.solution import Solution, global_means, global_sigmas
 from fieldloc.pose import FloatArray
@@ -29,7 +29,7 @@ SCANS = tuple(
 
 def solution(values: FloatArray, covariance: FloatArray) -> Solution:
     none = np.zeros((0, 3)), np.zeros((0, 3, 3))
-    parts = OdometryCalibration(*values[:6].tolist()), SensorCalibration(*values[6:].tolist())
+    parts = OdometryCalibration(*values[:CALIBRATION].tolist()), SensorCalibration(*values[CALIBRATION:].tolist())
     return Solution(*none, *parts, covariance, np.zeros(0), np.zeros(0), 0.0)
 
 

@@ -6,7 +6,7 @@ from walks import ns, velocities
 
 from estimators.chain import Chain, ChainRecorder
 from estimators.config import MotionNoise
-from estimators.motion import HeldVelocity, Increment
+from estimators.motion import CALIBRATION, HeldVelocity, Increment
 from fieldloc import pose as se2
 from fieldloc.factors import HeadingFactor
 from fieldloc.measurements import Odometry
@@ -16,7 +16,7 @@ STEP = np.array([0.1, 0.02, 0.3])
 
 
 def step() -> Increment:
-    return Increment(STEP, np.diag([1e-4, 2e-4, 3e-4]), np.ones((3, 6)))
+    return Increment(STEP, np.diag([1e-4, 2e-4, 3e-4]), np.ones((3, CALIBRATION)))
 
 
 def heading(stamp_s: float) -> HeadingFactor:

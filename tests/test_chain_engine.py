@@ -26,7 +26,7 @@ from estimators.chain_engine.descent import solved
 from estimators.chain_engine.equations import Arithmetic
 from estimators.config import Calibration, Compass, Config, Sensor
 from estimators.linearised import Linearised
-from estimators.motion import STANDSTILL, OdometryCalibration
+from estimators.motion import CALIBRATION, STANDSTILL, OdometryCalibration
 from estimators.solution import Solution
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor, sighted
@@ -50,7 +50,7 @@ both = pytest.mark.parametrize("arithmetic", BOTH, ids=["numba", "arrays"])
 def as_seen(chain: Chain, offset_rad: float = 0.0, delay_s: float = 0.0) -> Chain:
     """What is seen is seen through a sensor that is off."""
     factors: list[tuple[int, Factor]] = []
-    levers = chain.levers(np.zeros(6))
+    levers = chain.levers(np.zeros(CALIBRATION))
     for node, factor in chain.factors:
         off = se2.exp(levers[node] @ [0.0, 0.0, offset_rad, delay_s])
         match factor:
@@ -206,7 +206,9 @@ def test_a_chain_of_one_pose_is_that_pose(arithmetic: Make) -> None:
         solution = solved(chain_of([], [(0, PoseFactor(0, pose, P3))], pose[None] + 0.1), config, None, arithmetic)
         np.testing.assert_allclose(solution.poses, [pose], atol=1e-5)
         np.testing.assert_allclose(solution.covariances, [P3], rtol=1e-3)
-        np.testing.assert_allclose(np.diag(solution.global_covariance)[:6], config.calibration.sigmas() ** 2, rtol=1e-9)
+        np.testing.assert_allclose(
+            np.diag(solution.global_covariance)[:CALIBRATION], config.calibration.sigmas() ** 2, rtol=1e-9
+        )
 
 
 @both
@@ -276,7 +278,7 @@ def test_a_factor_of_an_unknown_kind_is_refused_by_name() -> None:
 def calibrated_walk(config: Config, random: np.random.Generator) -> tuple[FloatArray, Chain]:
     """The truth and what was seen of it, of a robot whose calibration is drawn from what is believed of it."""
     commands = velocities(300)
-    real = OdometryCalibration(*(config.calibration.sigmas() * random.standard_normal(6)).tolist())
+    real = OdometryCalibration(*(config.calibration.sigmas() * random.standard_normal(CALIBRATION)).tolist())
     truth = walk(np.zeros((1, 3)), commands, 0.1, random, calibration=real)[:, 0]
     factors: list[tuple[int, Factor]] = []
     for k in range(0, 301, 10):

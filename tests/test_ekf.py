@@ -8,7 +8,7 @@ from walks import PLAIN, TAKEN_AT_ITS_WORD, feed, nees, ns, right_factors, scan,
 from estimators.base import Estimate
 from estimators.config import Calibration, Compass, Config, MotionNoise, Robust
 from estimators.ekf import Ekf
-from estimators.motion import OdometryCalibration
+from estimators.motion import CALIBRATION, OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.measurements import Odometry
@@ -113,7 +113,7 @@ def test_the_errors_of_many_walks_are_as_large_as_the_filter_says(at_s: float, c
     first = np.array([0.5, -0.5, 1.0])
     starts = se2.retract(first, start_sigma * random.standard_normal((walks, 3)))
     commands = velocities(steps)
-    real = random.normal(0.0, calibration.sigmas(), (walks, 6))
+    real = random.normal(0.0, calibration.sigmas(), (walks, CALIBRATION))
     truth = walk(starts, commands, 0.1, random, calibration=OdometryCalibration(*real.T))
     total = 0.0
     for i in range(walks):

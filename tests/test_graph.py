@@ -8,7 +8,7 @@ from walks import GENTLE, PLAIN, ns, velocities, walk
 from estimators.chain import Chain
 from estimators.config import Calibration, Config, Graph, MotionNoise
 from estimators.graph import solve
-from estimators.motion import STANDSTILL, HeldVelocity, Increment, OdometryCalibration
+from estimators.motion import CALIBRATION, STANDSTILL, HeldVelocity, Increment, OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.covariance import central_difference
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
@@ -205,7 +205,7 @@ def simulated(
 
 
 def test_the_odometrys_calibration_is_found() -> None:
-    real = OdometryCalibration(0.08, -0.1, 0.12, -0.06, 0.02, 0.015)
+    real = OdometryCalibration(0.08, -0.1, 0.12, -0.06, 0.02, 0.015, 0.2)
     commands = velocities(1200)
     chain, truth = simulated(real, 4, commands, GENTLE)
     config = replace(Config(graph=GAUSSIAN), calibration=Calibration(0.2, 0.2, 0.2, 0.2, 0.05, 0.05))
@@ -220,15 +220,15 @@ def test_the_odometrys_calibration_is_found() -> None:
 
 
 def calibration_covariance(chain: Chain, config: Config, poses: FloatArray) -> FloatArray:
-    """(6, 6) first order, from motions and whole poses alone."""
+    """first order, from motions and whole poses alone."""
     information = np.diag(config.calibration.sigmas() ** -2.0)
     size = 3 * len(poses)
-    whole = np.zeros((size + 6, size + 6))
+    whole = np.zeros((size + CALIBRATION, size + CALIBRATION))
     whole[size:, size:] = information
     for k, motion in enumerate(chain.motions):
         after = se2.adjoint(se2.inverse(motion.before_from_after))
         jacobian = np.hstack([-after, np.eye(3), -motion.by_calibration])
-        columns = [*range(3 * k, 3 * k + 6), *range(size, size + 6)]
+        columns = [*range(3 * k, 3 * k + 6), *range(size, size + CALIBRATION)]
         whole[np.ix_(columns, columns)] += jacobian.T @ np.linalg.solve(motion.covariance, jacobian)
     for k, factor in chain.factors:
         whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += np.linalg.inv(factor.covariance)

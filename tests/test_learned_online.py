@@ -83,19 +83,19 @@ def drawn(random: np.random.Generator, config: Config = KNOWN) -> Robot:
     late_s = abs(random.normal(0.0, config.calibration.odometry_delay_sigma_s))
     eyes = config.sensor.sigmas() * random.standard_normal(4)
     eyes[3], late_s = (round(delay_s * STEPS_PER_S) / STEPS_PER_S for delay_s in (eyes[3], late_s))
-    return Robot(config.calibration.sigmas() * random.standard_normal(6), eyes, late_s)
+    return Robot(config.calibration.sigmas() * random.standard_normal(CALIBRATION), eyes, late_s)
 
 
 def learned(make: Make, seeds: range, duration_s: int) -> tuple[FloatArray, FloatArray, list[float]]:
-    """(s, 12) errors over what the filter says of them: calibration, eyes, delay of the robot, both delays together;
-    (12,) sigmas of the last; NEES of each."""
-    off, errors, sigmas = [], [], np.zeros(12)
+    """(s, LATE - 1) errors over what the filter says of them: calibration, eyes, delay of the robot, both delays
+    together; (LATE - 1,) sigmas of the last; NEES of each."""
+    off, errors, sigmas = [], [], np.zeros(LATE - 1)
     for seed in seeds:
         random = np.random.default_rng(seed)
         robot, online = drawn(random), make(KNOWN)
         errors.append(robot.drive(online, duration_s, random))
         mean, covariance = online.learned
-        both = np.eye(11, len(mean))
+        both = np.eye(LATE - 2, len(mean))
         both = np.vstack([both, both[LATE - 4] + both[LATE - 3]])
         sigmas = np.sqrt(np.diag(both @ covariance @ both.T))
         truth = np.concatenate([robot.calibration, robot.eyes, [robot.late_s]])
@@ -131,21 +131,21 @@ def test_what_is_learned_is_as_sure_as_it_says(make: Make) -> None:
 @pytest.mark.parametrize("make", EVERY)
 def test_what_is_known_beforehand_stays_as_it_is(make: Make) -> None:
     random = np.random.default_rng(3)
-    robot = Robot(np.zeros(6), np.array([0.0, 0.0, 0.03, 0.08]))
-    known = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0)
+    robot = Robot(np.zeros(CALIBRATION), np.array([0.0, 0.0, 0.03, 0.08]))
+    known = Calibration(*np.zeros(CALIBRATION), odometry_delay_sigma_s=0.0)
     sensor = Sensor(0.0, 0.0, 0.0, 0.0, bearing_offset_rad=0.03, delay_s=0.08)
     online = make(Config(motion=KNOWN_NOISE, calibration=known, sensor=sensor))
     robot.drive(online, 10, random)
     mean, covariance = online.learned
-    np.testing.assert_allclose(mean[:11], [0.0] * 8 + [0.03, 0.08, 0.0], atol=1e-12)
-    assert not covariance[:11, :11].any()
+    np.testing.assert_allclose(mean[: LATE - 2], [0.0] * (CALIBRATION + 2) + [0.03, 0.08, 0.0], atol=1e-12)
+    assert not covariance[: LATE - 2, : LATE - 2].any()
 
 
 @pytest.mark.parametrize("make", EVERY)
 def test_who_states_a_covariance_is_not_late(make: Make) -> None:
     stated = np.diag([0.05, 0.05, 0.05]) ** 2
     online = make(KNOWN)
-    Robot(np.zeros(6), np.zeros(4), stated=stated).drive(online, 10, np.random.default_rng(5))
+    Robot(np.zeros(CALIBRATION), np.zeros(4), stated=stated).drive(online, 10, np.random.default_rng(5))
     mean, covariance = online.learned
     assert mean[LATE - 3] == 0.0
     assert covariance[LATE - 3, LATE - 3] == 0.0
@@ -154,7 +154,7 @@ def test_who_states_a_covariance_is_not_late(make: Make) -> None:
 @pytest.mark.parametrize("make", EVERY)
 def test_late_eyes_saw_from_where_the_robot_was(make: Make) -> None:
     config = Config(motion=KNOWN_NOISE, sensor=Sensor(0.0, 0.0, 0.0, 0.0, bearing_offset_rad=0.1, delay_s=0.4))
-    online = make(replace(config, calibration=Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    online = make(replace(config, calibration=Calibration(*np.zeros(CALIBRATION))))
     online.start(Estimate(0, START, START_COVARIANCE))
     for tick in range(10):  # the first half of the time the other way
         online.predict(Odometry(ns(0.1 * tick), np.array([0.5 if tick < 8 else -0.5, 0.0, 0.3])))

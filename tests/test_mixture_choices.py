@@ -23,7 +23,7 @@ from estimators.base import Estimate
 from estimators.config import Compass, Config
 from estimators.mixture import MixtureFilter
 from estimators.mixture.bank import gaussian
-from estimators.motion import STANDSTILL
+from estimators.motion import CALIBRATION, STANDSTILL
 from estimators.views import EXTRA, OFFSET
 from fieldloc import pose as se2
 from fieldloc.factors import HeadingFactor
@@ -118,7 +118,9 @@ def test_a_compass_is_believed_as_far_as_its_offset_is_known() -> None:
 def test_what_was_learnt_of_the_compass_is_forgotten_again() -> None:
     left, gain = Compass(offset_sigma_rad=0.2, offset_s=20.0).wander(1000.0)
     known = block_diag(P3, np.zeros((EXTRA - 1, EXTRA - 1)), 0.01**2)
-    bank = gaussian(START, known, np.full(EXTRA, 0.1), copies=1).moved(STANDSTILL, np.full(6, 0.1), left, gain)
+    bank = gaussian(START, known, np.full(EXTRA, 0.1), copies=1).moved(
+        STANDSTILL, np.full(CALIBRATION, 0.1), left, gain
+    )
     np.testing.assert_allclose(bank.extra[0], [0.1] * (EXTRA - 1) + [0.0], atol=1e-9)
     assert bank.covariances[0, OFFSET, OFFSET] == pytest.approx(0.2**2)
     np.testing.assert_allclose(bank.poses[0], START)

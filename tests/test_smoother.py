@@ -9,7 +9,7 @@ from walks import KNOWN_NOISE, PLAIN, feed, nees, ns, right_factors, scan, veloc
 from estimators.base import Estimate
 from estimators.config import Calibration, Config, Graph, MotionNoise, Robust
 from estimators.ekf import Ekf
-from estimators.motion import OdometryCalibration
+from estimators.motion import CALIBRATION, OdometryCalibration
 from estimators.smoother import Smoother
 from fieldloc import pose as se2
 from fieldloc.covariance import check_covariance
@@ -225,7 +225,7 @@ def seen_walks(
 def test_the_errors_of_many_walks_are_as_large_as_the_marginals_say(
     walks: int, nodes: tuple[int, ...], calibration: Calibration
 ) -> None:
-    real = np.random.default_rng(9).normal(0.0, calibration.sigmas(), (walks, 6))
+    real = np.random.default_rng(9).normal(0.0, calibration.sigmas(), (walks, CALIBRATION))
     runs = seen_walks(
         walks,
         max(60, nodes[-1] + 1),
@@ -243,7 +243,7 @@ def test_the_errors_of_many_walks_are_as_large_as_the_marginals_say(
 def test_the_robust_kernel_makes_covariances_wider_than_errors_and_never_narrower() -> None:
     # each good factor counts for less than it knows: on average for 1 / (1 + 3 / 2^2) or so of it
     walks = 20
-    runs = seen_walks(walks, 60, Config(), np.zeros((walks, 6)), 10)
+    runs = seen_walks(walks, 60, Config(), np.zeros((walks, CALIBRATION)), 10)
     total = sum(nees(smoother.trajectory()[30], truth[30]) for smoother, truth in runs)
     assert 0.4 * 3 * walks < total < chi2.ppf(0.9995, 3 * walks)
 

@@ -29,7 +29,7 @@ from fieldloc.stacks import PoseStack
 PLAIN = Config(
     motion=MotionNoise(0.1, 0.1, 0.0, 0.0, 0.02, 1e-4),
     graph=Graph(cauchy=1e6),
-    calibration=Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    calibration=Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     compass=Compass(),
 )
 SIGMA_M, SIGMA_RAD = 0.1, 1e-3

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from estimators.motion import STANDSTILL, Increment
+from estimators.motion import CALIBRATION, STANDSTILL, Increment
 from estimators.ways import Ways
 from fieldloc import pose as se2
 
@@ -12,7 +12,7 @@ def test_stages_and_the_ways_to_and_from_stops_are_the_motions_one_after_the_oth
     motions = []
     for _ in range(90):
         root = 0.1 * random.standard_normal((3, 3))
-        motions.append(Increment(random.normal(0.0, 0.3, 3), root @ root.T, random.standard_normal((3, 6))))
+        motions.append(Increment(random.normal(0.0, 0.3, 3), root @ root.T, random.standard_normal((3, CALIBRATION))))
     ways = Ways.of(motions, np.array([3, 4, 70]))
     stops = ways.stops.tolist()
     assert {0, 3, 4, 70, 90} <= set(stops)

@@ -27,7 +27,7 @@ FIELD = FieldMap(
     tuple(Landmark(str(i), position, 0.1, np.zeros((2, 2))) for i, position in enumerate(POSITIONS)),
 )
 PERFECT = OdometryCalibration()
-TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0)
+TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0)
 GENTLE = MotionNoise(0.05, 0.03, 0.05, 0.05, log_scale_sigma=1.0)
 KNOWN_NOISE = MotionNoise(0.05, 0.03, 0.05, 0.05, log_scale_sigma=0.0)
 PLAIN = Config(motion=KNOWN_NOISE, calibration=TAKEN_AT_ITS_WORD, sensor=Sensor(0.0, 0.0, 0.0, 0.0))
@@ -104,9 +104,10 @@ def calibrated(velocity: FloatArray, calibration: OdometryCalibration) -> FloatA
     """
     forward, left, turn = velocity
     c = calibration
+    scale = c.scale - c.turn_slowing_s * np.abs(turn)
     moved = [
-        forward * (1.0 + c.scale) - left * c.crab_rad + c.drift_mps,
-        left * (1.0 + c.scale) + forward * c.crab_rad,
+        forward * (1.0 + scale) - left * c.crab_rad + c.drift_mps,
+        left * (1.0 + scale) + forward * c.crab_rad,
         turn * (1.0 + c.turn_scale) + forward * c.veer_rad_per_m + c.turn_drift_radps,
     ]
     return np.stack(np.broadcast_arrays(*moved), axis=-1)

@@ -15,7 +15,7 @@ from estimators.chain_engine.descent import solved
 from estimators.chain_engine.equations import Arithmetic
 from estimators.config import Config
 from estimators.linearised import Linearised
-from estimators.motion import Increment
+from estimators.motion import CALIBRATION, Increment
 from estimators.solution import Solution
 from fieldloc.factors import PoseFactor
 
@@ -43,6 +43,6 @@ def arithmetic() -> Callable[[Linearised, float], Arithmetic]:
 
 def prepare() -> None:
     """Solves a chain of two poses, so that all is compiled: the first time on a machine that takes some seconds."""
-    step = Increment(np.array([1e-9, 0.0, 0.0]), np.eye(3), np.zeros((3, 6)))
+    step = Increment(np.array([1e-9, 0.0, 0.0]), np.eye(3), np.zeros((3, CALIBRATION)))
     seen = PoseFactor(0, np.zeros(3), np.eye(3), by_sight=True)
     solve(Chain((0, 1), (step,), ((0, seen),), np.zeros((2, 3))), Config())

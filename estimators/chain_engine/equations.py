@@ -11,9 +11,9 @@ from estimators.chain_engine.blocks import Blocks, Marginals
 from estimators.chain_engine.compass import CompassOffsets
 from estimators.config import Config
 from estimators.linearised import Linearised
-from estimators.motion import OdometryCalibration
+from estimators.motion import CALIBRATION, OdometryCalibration
 from estimators.sensor import SensorCalibration
-from estimators.solution import CALIBRATION, GLOBALS, Solution
+from estimators.solution import GLOBALS, Solution
 from fieldloc import pose as se2
 from fieldloc.pose import FloatArray
 

@@ -5,8 +5,8 @@ import numpy as np
 from estimators.chain_engine import fused, sweep
 from estimators.chain_engine.blocks import Blocks, Marginals
 from estimators.linearised import Group, Linearised
+from estimators.motion import CALIBRATION
 from estimators.sensor import LEVER_BY_VELOCITY, lever
-from estimators.solution import CALIBRATION
 from fieldloc.pose import FloatArray
 from fieldloc.stacks import HeadingStack, LandmarkStack, LineStack, PoseStack
 

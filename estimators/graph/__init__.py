@@ -19,9 +19,9 @@ from estimators.config import Config
 from estimators.graph.compass_offsets import CompassOffsets
 from estimators.graph.elimination import elimination_order
 from estimators.linearised import Linearised
-from estimators.motion import OdometryCalibration
+from estimators.motion import CALIBRATION, OdometryCalibration
 from estimators.sensor import SensorCalibration
-from estimators.solution import CALIBRATION, GLOBALS, MOTION_FLOOR, WEAK_SIGMAS, Solution
+from estimators.solution import GLOBALS, MOTION_FLOOR, WEAK_SIGMAS, Solution
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.pose import FloatArray

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.motion import Increment
-from estimators.views import CALIBRATION, EXTRA, OFFSET, SIZE, View
+from estimators.motion import CALIBRATION, Increment
+from estimators.views import EXTRA, OFFSET, SIZE, View
 from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray
 from fieldloc.pose import FloatArray
@@ -81,7 +81,7 @@ class Bank:
         return np.asarray(np.logaddexp.reduce(self.log_weights, axis=1))
 
     def moved(self, motion: Increment, calibration: FloatArray, offset_left: float, offset_gain: float) -> "Bank":
-        """After a motion, which is that of an odometry with the calibration (6,); others differ from it linearly.
+        """After a motion, which is that of an odometry with the calibration (c,); others differ from it linearly.
 
         offset_left, offset_gain: share of the compass' offset that stays, variance that it gains.
         """

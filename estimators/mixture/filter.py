@@ -26,8 +26,8 @@ from estimators.mixture.sides import Sides
 from estimators.mixture.split import Children, met, total
 from estimators.mixture.watch import Watch
 from estimators.modes import ModeSequence
-from estimators.motion import STANDSTILL, HeldVelocity
-from estimators.views import CALIBRATION, LATE, View, Views, of_factor, prior
+from estimators.motion import CALIBRATION, STANDSTILL, HeldVelocity
+from estimators.views import LATE, View, Views, of_factor, prior
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.heading_mixture import HeadingMixture

@@ -10,7 +10,7 @@ from estimators.base import Ambiguity, Estimate, Event, Innovation
 from estimators.config import Config
 from estimators.divergence import Restart
 from estimators.legs import Legs
-from estimators.motion import STANDSTILL, HeldVelocity, Increment
+from estimators.motion import CALIBRATION, STANDSTILL, HeldVelocity, Increment
 from estimators.particles.answer import Tracks, best_of, hypotheses
 from estimators.particles.calibration import CalibrationBelief
 from estimators.particles.cloud import Cloud, Moments, moments, places, regroup
@@ -19,7 +19,7 @@ from estimators.particles.proposal import proposed
 from estimators.particles.recovery import Elsewhere
 from estimators.particles.sides import Copies
 from estimators.particles.weighing import LogLikelihood, drawn, exact, scattered, weigh, weigh_where_sent
-from estimators.views import CALIBRATION, EXTRA, EYES, LATE, View, Views, of_factor, prior
+from estimators.views import EXTRA, EYES, LATE, View, Views, of_factor, prior
 from fieldloc import pose as se2
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.factors import Factor, PoseFactor, innovation_covariance
