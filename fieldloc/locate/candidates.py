@@ -7,6 +7,7 @@ need no line: paper, eqs. 3-12. All places are worth the votes for their coordin
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,47 +118,55 @@ class _Votes:
     peaks: FloatArray
 
     @staticmethod
-    def of(seen: FloatArray, weights: FloatArray, marks: FloatArray, low: float, high: float) -> "_Votes":
-        """Of distances to lines (g, l), of which (g, l) count so much, as any of the lines at `marks`."""
-        count = int((high - low) / _STEP_M) + 1
-        if not len(marks) or not weights.any():
+    def of(seen: FloatArray, weights: FloatArray, shape: Shape, axis: int) -> "_Votes":
+        """Of distances to lines (g, l), of which (g, l) count so much, as any of the map's lines across the axis."""
+        low, table, count = _distances(shape, axis)
+        told = np.flatnonzero(weights.any(axis=0))
+        if not len(table) or not len(told):
             return _Votes(low, np.zeros((len(seen), count)), np.full((len(seen), 0), np.nan))
-        # how far from the nearest mark a coordinate is, of all coordinates on and about the field
-        table = np.abs(np.arange(low, high + _STEP_M, _STEP_M)[:, None] - marks).min(axis=1)
+        seen, weights = seen[:, told], weights[:, told]
         first = np.rint(seen / _STEP_M).astype(np.intp)
         rows = first[..., None] + np.arange(count)
-        away = table[np.clip(rows, 0, len(table) - 1)]
+        away = table[np.minimum(np.maximum(rows, 0), len(table) - 1)]
         off = away / (_OFF_M + _OFF * np.abs(seen))[..., None]
         values = (weights[:, None] @ np.exp(-0.5 * off * off))[:, 0]
         top = np.zeros_like(values)
         higher = (values[:, 1:-1] >= values[:, :-2]) & (values[:, 1:-1] > values[:, 2:])
         top[:, 1:-1] = np.where(higher, values[:, 1:-1], 0.0)
         best = np.argsort(-top, axis=1, kind="stable")[:, :_MOST_COORDINATES]
-        peaks = np.where(np.take_along_axis(top, best, axis=1) > 0.1, low + _STEP_M * best, np.nan)
+        peaks = np.where(top[np.arange(len(top))[:, None], best] > 0.1, low + _STEP_M * best, np.nan)
         return _Votes(low, values, peaks)
 
-    def at(self, coordinates: FloatArray) -> FloatArray:
-        """(g, ...) of coordinates (g, ...)."""
-        rows = np.nan_to_num(np.rint((coordinates - self.low) / _STEP_M), nan=0.0)
-        rows = np.clip(rows, 0, self.values.shape[1] - 1).astype(np.intp)
-        flat = np.take_along_axis(self.values, rows.reshape(len(rows), -1), axis=1)
-        return np.asarray(flat.reshape(coordinates.shape))
+    def at(self, rows: NDArray[np.intp], coordinates: FloatArray) -> FloatArray:
+        """(n,) of cameras and coordinates (n,)."""
+        columns = np.rint((coordinates - self.low) / _STEP_M)
+        columns = np.minimum(np.maximum(columns, 0.0), self.values.shape[1] - 1.0).astype(np.intp)
+        return np.asarray(self.values[rows, columns])
+
+
+@lru_cache(maxsize=32)
+def _distances(shape: Shape, axis: int) -> tuple[float, FloatArray, int]:
+    """From where on, how far coordinates on and about the field are from the nearest line across the axis (n,), empty
+    where there is none, and of how many coordinates."""
+    corners = shape.box[[[0, 1], [0, 3], [2, 1], [2, 3]]] @ rotation(shape.grid_rad)
+    low, high = corners[:, axis].min() - _AROUND_M, corners[:, axis].max() + _AROUND_M
+    marks = shape.offsets[shape.families == 1 - axis]
+    coordinates = np.arange(low, high + _STEP_M, _STEP_M)
+    table = np.abs(coordinates[:, None] - marks).min(axis=1) if len(marks) else np.zeros(0)
+    return float(low), table, int((high - low) / _STEP_M) + 1
 
 
 def _places(ground: Ground, shape: Shape, turn: int) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
     """Places (n, 2) in the field of cameras whose axes are turned by so many quarter turns against the grid, what each
     is worth (n,) and of which camera it is (n,)."""
     quarter, grid = rotation(0.5 * np.pi * turn), rotation(shape.grid_rad)
-    corners = shape.box[[[0, 1], [0, 3], [2, 1], [2, 3]]] @ grid
-    low, high = corners.min(axis=0) - _AROUND_M, corners.max(axis=0) + _AROUND_M
     votes = []
     for axis in (0, 1):  # the coordinate that is looked for; lines along the other axis tell it
         family = (1 - axis + turn) % 2
         # a line at offset d along the other of its own axes is turned to +-d of this one
         sign = quarter[axis, 1 - family]
         weights = ground.weights * (ground.families == family)
-        marks = shape.offsets[shape.families == 1 - axis]
-        votes.append(_Votes.of(sign * ground.offsets, weights, marks, float(low[axis]), float(high[axis])))
+        votes.append(_Votes.of(sign * ground.offsets, weights, shape, axis))
     count = len(ground.offsets)
     xs, ys = votes[0].peaks, votes[1].peaks
     found: list[tuple[FloatArray, float]] = []
@@ -179,16 +188,17 @@ def _places(ground: Ground, shape: Shape, turn: int) -> tuple[FloatArray, FloatA
             found.append((both, _BEARING))
     circles = shape.circles[:, :2] @ grid - (ground.circle[:, :2] @ quarter.T)[:, None]  # (g, c, 2)
     found.append((circles, 0.0))
-    places = np.concatenate([both.reshape(count, -1, 2) for both, _ in found], axis=1)
-    worth = np.concatenate([np.full(both.size // (2 * count), bonus) for both, bonus in found])
-    worth = worth + votes[0].at(places[..., 0]) + votes[1].at(places[..., 1])
-    if len(shape.circles) and np.isfinite(circles).any():
-        away = np.linalg.norm(places[:, :, None] - circles[:, None], axis=-1) / _CIRCLE_M
+    all_places = np.concatenate([both.reshape(count, -1, 2) for both, _ in found], axis=1)
+    bonuses = np.concatenate([np.full(both.size // (2 * count), bonus) for both, bonus in found])
+    rows, columns = np.nonzero(np.isfinite(all_places).all(axis=2))
+    places = all_places[rows, columns]
+    worth = bonuses[columns] + votes[0].at(rows, places[:, 0]) + votes[1].at(rows, places[:, 1])
+    if np.isfinite(circles).any():
+        off = (places[:, None] - circles[rows]) / _CIRCLE_M
         large = (ground.circle[:, 2:] / shape.circles[:, 2] - 1.0) / _CIRCLE_LARGE
-        fits = np.exp(-0.5 * (away * away + (large * large)[:, None]))
-        worth = worth + _CIRCLE * np.nan_to_num(fits).max(axis=2)
-    rows, columns = np.nonzero(np.isfinite(places).all(axis=2))
-    return places[rows, columns] @ grid.T, worth[rows, columns], rows
+        fits = np.exp(-0.5 * (off[..., 0] ** 2 + off[..., 1] ** 2 + (large * large)[rows]))
+        worth = worth + _CIRCLE * np.nan_to_num(fits).max(axis=1)
+    return places @ grid.T, worth, rows
 
 
 def _of_two_posts(sight: Sight, shape: Shape, prior: CameraPrior, pitch: float, roll: float) -> FloatArray:

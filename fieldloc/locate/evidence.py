@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fieldloc.camera import Camera
 from fieldloc.lens import Mask
 from fieldloc.locate.cameras import Cameras
 from fieldloc.locate.matching import Matches
@@ -16,6 +17,7 @@ _LONG_PX = (40.0, 120.0)  # from where on a visible line is expected to be found
 _WIDE_PX = (1.5, 4.0)
 _POST_PX = (4.0, 10.0)
 _SHARE = (0.25, 0.6)  # of a circle
+_NOWHERE_PX = -1e6
 
 
 def log_missed(cameras: Cameras, sight: Sight, shape: Shape, matches: Matches, settings: LocateSettings) -> FloatArray:
@@ -45,7 +47,7 @@ def log_missed(cameras: Cameras, sight: Sight, shape: Shape, matches: Matches, s
     if len(shape.circles):
         size = (len(out), len(shape.circles), _SAMPLES)
         seen, wide = visible[1].reshape(size), scale[1].reshape(size)
-        width = np.median(np.where(seen, wide, 0.0), axis=2) * shape.line_width_m
+        width = np.sort(np.where(seen, wide, 0.0), axis=2)[..., _SAMPLES // 2] * shape.line_width_m
         sure = _ramp(seen.mean(axis=2), _SHARE) * _ramp(width, _WIDE_PX)
         found = matches.circle[:, None] == np.arange(len(shape.circles))
         out = out + np.log1p(-settings.seen_circle * np.where(found, 0.0, sure)).sum(axis=1)
@@ -64,12 +66,22 @@ def _projected(cameras: Cameras, sight: Sight, points: FloatArray) -> tuple[Floa
     away[..., :2] = points - cameras.centre[:, None, :2]
     away[..., 2] = -cameras.centre[:, 2:]
     camera = sight.camera
-    pixels, _ = camera.project(away @ cameras.rotation)
+    pixels = _pixels(camera, away @ cameras.rotation)
     u, v = pixels[..., 0], pixels[..., 1]
     visible = (u > _MARGIN_PX) & (u < camera.width_px - _MARGIN_PX)
     visible &= (v > _MARGIN_PX) & (v < camera.height_px - _MARGIN_PX)
-    far2 = np.maximum(np.einsum("kni,kni->kn", away, away), 0.01)
-    return np.nan_to_num(pixels), sight.focal_px * cameras.centre[:, 2:] / far2, visible
+    far2 = np.maximum(away[..., 0] ** 2 + away[..., 1] ** 2 + away[..., 2] ** 2, 0.01)
+    return pixels, sight.focal_px * cameras.centre[:, 2:] / far2, visible
+
+
+def _pixels(camera: Camera, rays: FloatArray) -> FloatArray:
+    """Of rays (..., 3); far beside the picture where there are none."""
+    if camera.model == "pinhole" and not any(camera.distortion):
+        ahead = rays[..., 2] > 1e-6
+        scale = np.array([camera.fx_px, camera.fy_px]) / np.where(ahead, rays[..., 2], 1.0)[..., None]
+        pixels = rays[..., :2] * scale + np.array([camera.cx_px, camera.cy_px])
+        return np.where(ahead[..., None], pixels, _NOWHERE_PX)
+    return np.nan_to_num(camera.project(rays)[0], nan=_NOWHERE_PX)
 
 
 def _ramp(value: FloatArray, limits: tuple[float, float]) -> FloatArray:

@@ -22,11 +22,11 @@ class Lines:
     @staticmethod
     def of(cameras: Cameras) -> "Lines":
         shape, both = cameras.shape, cameras.line_ends
-        size = (*both.shape[:-1], len(shape.starts))
         normals = _normals(cameras, shape.starts, shape.directions).transpose(0, 2, 1)
-        off = (both.reshape(size[0], -1, 3) @ normals).reshape(size)
-        rays = both[:, :, 0]
-        return Lines(rays, -rays[..., 2], off[:, :, 0], off[:, :, 1])
+        rays, across = both[:, :, 0], both[:, :, 1]
+        size = (*rays.shape[:-1], len(shape.starts))
+        off, slope = ((part.reshape(size[0], -1, 3) @ normals).reshape(size) for part in (rays, across))
+        return Lines(rays, -rays[..., 2], off, slope)
 
 
 def _normals(cameras: Cameras, starts: FloatArray, directions: FloatArray) -> FloatArray:

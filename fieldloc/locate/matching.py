@@ -99,25 +99,26 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     # most lines of the map are far from what is seen: only of the others one has to know how far
     near = np.abs(seen.off) < (_NEAR_PX + 4.0 * noise.widen_px) * np.abs(seen.slope)
     row, column, mark = np.nonzero(near[:, :, 0] & near[:, :, 1] & before[..., None])
-    slope = seen.slope[row, column, :, mark]
-    px_per_m = np.abs(seen.down[row, column] / slope)
-    variance = noise.at(row, px_per_m) + sight.line_variances[column]
+    off, slope = seen.off[row, column, :, mark], seen.slope[row, column, :, mark]
+    variance = noise.at(row, np.abs(seen.down[row, column] / slope)) + sight.line_variances[column]
     together = sight.line_noise[column, 0, 1]
     determinant = variance[:, 0] * variance[:, 1] - together * together
-    first, second = (seen.off[row, column, :, mark] / slope).T
+    first, second = (off / slope).T
     misfit = (variance[:, 1] * first - 2.0 * together * second) * first + variance[:, 0] * second * second
-    along = (ground[row, column] @ shape.directions[mark, :, None])[..., 0] - shape.starts_along[mark, None]
+    end, direction = ground[row, column], shape.directions[mark, :, None]
+    along = end[..., 0] * direction[:, 0] + end[..., 1] * direction[:, 1] - shape.starts_along[mark, None]
     over = np.maximum(np.maximum(-along, along - shape.lengths[mark, None]), 0.0)
     over /= _OVER_M + (_OVER_PX + noise.widen_px) * m_per_px[row, column]
-    off = misfit / determinant + over[:, 0] * over[:, 0] + over[:, 1] * over[:, 1]
+    chi2 = misfit / determinant + over[:, 0] * over[:, 0] + over[:, 1] * over[:, 1]
     gain = np.full((count, lines, len(shape.starts)), -np.inf)
-    gain[row, column, mark] = -0.5 * (off + np.log(determinant)) - _LOG_2PI
+    gain[row, column, mark] = -0.5 * (chi2 + np.log(determinant)) - _LOG_2PI
     best = gain.argmax(axis=2)
     log_clutter = -2.0 * math.log(sight.camera.height_px)
     log_odds = math.log((1.0 - settings.false_line) / settings.false_line) - math.log(len(shape.starts))
     rows, columns = np.arange(count)[:, None], np.arange(lines)
-    slope = seen.slope[rows, columns, :, best]
-    gains = gain[rows, columns, best] + (log_odds - log_clutter) + _widths_fit(noise, np.abs(seen.down / slope))
+    gains = gain[rows, columns, best] + (log_odds - log_clutter)
+    px_per_m = np.abs(seen.down / seen.slope[rows, columns, :, best])
+    gains = gains + _widths_fit(noise, px_per_m)
     best, gains = np.where(gains > 0.0, best, -1), np.maximum(gains, 0.0)
     arc = _arcs_fit(noise, ground, m_per_px) + (log_odds - log_clutter)
     is_arc = before & (arc > gains)

@@ -21,7 +21,7 @@ from fieldloc.locate.task import Task
 from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import Detections
 
-_STAGES = ((10.0, 35.0, 3), (5.0, 40.0, 2), (1.0, 30.0, 1), (0.0, 30.0, 1))
+_STAGES = ((10.0, 35.0, 3), (2.0, 30.0, 2), (0.0, 20.0, 1))
 """By how much states may be off, px; so much worse than the best is hopeless; how often they are fitted."""
 _SHARPER = 0.25
 _DOUBTED, _DOUBTING = 4, 1  # states are fitted without their posts, too, from that stage on
@@ -92,32 +92,33 @@ def _answer(task: Task, settled: Settled, kept: np.ndarray[tuple[int], np.dtype[
     shares = np.exp(logs - np.logaddexp.reduce(logs))
     if shares[-1] > 1.0 - _HOPELESS:
         return Located((), 1.0)
+    kept = kept[shares[:-1] >= _NEGLIGIBLE]
+    states, covariances, matches = settled.states[kept], settled.covariances[kept], settled.matches.take(kept)
+    lines = np.full((len(kept), len(seen.lines)), -1, dtype=np.intp)
+    lines[:, task.sight.line_rows] = matches.lines
+    posts = np.full((len(kept), len(seen.posts)), -1, dtype=np.intp)
+    posts[:, task.sight.post_rows] = matches.posts
+    turns = np.tile(np.eye(6), (len(twins), 1, 1))
+    turns[:, :2, :2] = se2.rotation(twins[:, 2])
+    turned = turns @ covariances[:, None] @ turns.transpose(0, 2, 1)
+    poses = se2.compose(twins, states[:, None, :3])
     found = []
-    for share, row in zip(shares, kept, strict=False):
-        if share < _NEGLIGIBLE:
-            continue
-        lines = np.full(len(seen.lines), -1, dtype=np.intp)
-        lines[task.sight.line_rows] = settled.matches.lines[row]
-        posts = np.full(len(seen.posts), -1, dtype=np.intp)
-        posts[task.sight.post_rows] = settled.matches.posts[row]
-        height_m, pitch_rad, roll_rad = map(float, settled.states[row, 3:])
-        for twin in twins:
-            turn = np.eye(6)
-            turn[:2, :2] = se2.rotation(twin[2])
-            full = turn @ settled.covariances[row] @ turn.T
+    for row, share in enumerate(shares[:-1][shares[:-1] >= _NEGLIGIBLE]):
+        height_m, pitch_rad, roll_rad = states[row, 3:].tolist()
+        for pose, full in zip(poses[row], turned[row], strict=True):
             found.append(
                 Hypothesis(
-                    se2.compose(twin, settled.states[row, :3]),
+                    pose,
                     full[:3, :3],
                     float(share) / len(twins),
                     height_m,
                     pitch_rad,
                     roll_rad,
                     full,
-                    lines,
-                    posts,
-                    int(settled.matches.circle[row]),
-                    float(settled.log_evidence[row]),
+                    lines[row],
+                    posts[row],
+                    int(matches.circle[row]),
+                    float(settled.log_evidence[kept[row]]),
                 )
             )
     return Located(tuple(found), float(1.0 - sum(one.probability for one in found)))

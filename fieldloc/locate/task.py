@@ -66,9 +66,11 @@ class Task:
         poses = states[order, :3]
         same = np.zeros((len(order), len(order)), dtype=np.bool_)
         for turn in (np.zeros(3), *self.shape.symmetries):
-            off = se2.compose(turn, poses)[:, None] - poses
-            near = off[..., 0] ** 2 + off[..., 1] ** 2 < _SAME_M**2
-            same |= near & (np.abs(se2.wrap(off[..., 2])) < _SAME_RAD)
+            turned = se2.compose(turn, poses) if turn.any() else poses
+            x, y = turned[:, None, 0] - poses[:, 0], turned[:, None, 1] - poses[:, 1]
+            near = x * x + y * y < _SAME_M**2
+            if near.any():
+                same |= near & (np.abs(se2.wrap(turned[:, None, 2] - poses[:, 2])) < _SAME_RAD)
         if kinds is not None:
             same &= kinds[order, None] == kinds[order]
         kept: list[int] = []
