@@ -12,7 +12,7 @@ from fieldloc.vision.white import SCAN_STEP_PX, Runs
 _STEEPEST = 1.3  # along the scan line for one across; steeper pieces are found by the other scan lines
 _WIDTHS = 2.5  # ratio of the widths of two runs of one line
 _MOST = 400  # chains
-_SKIPPED = 3  # scan lines that a chain may miss
+_SKIPPED = 3  # scan lines that a chain may miss, less than `SCAN_GAP`
 
 
 def link(runs: Runs) -> NDArray[np.intp]:
@@ -53,21 +53,22 @@ def _roots(before: NDArray[np.intp]) -> NDArray[np.intp]:
     return root
 
 
-def chains_of(runs: Runs, down: bool, fewest: int) -> list[FloatArray]:
-    """Every chain of at least that many runs as (m, 3): u, v of the runs' middles and their width, in scan order; of
-    more than anyone paints the longest."""
+def chains_of(runs: Runs) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Every chain of two runs or more, those of scan lines down the picture and those of scan lines across it, as
+    (m, 3): u, v of the runs' middles and their width, in scan order; of more than anyone paints the longest."""
     if len(runs.scan) == 0:
-        return []
+        return [], []
     roots = link(runs)
     order = np.lexsort((runs.scan, roots))
     borders = [0, *(np.flatnonzero(np.diff(roots[order])) + 1).tolist(), len(order)]
-    along, at_px = runs.middle_px, runs.at_px
-    uv = np.stack([at_px, along] if down else [along, at_px], axis=1)
-    table = np.column_stack([uv, runs.last_px - runs.first_px])
-    table = table[order]
-    spans = [(begin, end) for begin, end in pairwise(borders) if end - begin >= fewest]
-    spans = sorted(sorted(spans, key=lambda span: span[0] - span[1])[:_MOST])
-    return [table[begin:end] for begin, end in spans]
+    table = np.column_stack([runs.points(runs.middle_px), runs.last_px - runs.first_px])[order]
+    spans = [(begin, end) for begin, end in pairwise(borders) if end - begin >= 2]
+    last_down = np.count_nonzero(runs.down)  # chains are in the order of their first runs
+    down, across = (
+        sorted(sorted(some, key=lambda span: span[0] - span[1])[:_MOST])
+        for some in ([span for span in spans if span[0] < last_down], [span for span in spans if span[0] >= last_down])
+    )
+    return [table[begin:end] for begin, end in down], [table[begin:end] for begin, end in across]
 
 
 def parts(chains: list[FloatArray], masks: list[Mask], wanted: bool) -> list[FloatArray]:

@@ -26,6 +26,7 @@ from fieldloc.vision.white import find_runs
 
 _COLOURS = FieldColours()
 _DEFAULTS = VisionSettings()
+_LEAST_CHAIN = 4  # runs of a piece of a line; what has fewer may be a mark
 
 
 def detect(
@@ -40,9 +41,8 @@ def detect(
     if turf.boundary_px is None:
         return Detections(width, height)
     plane = Plane(camera)
-    down, across = find_runs(picture, turf, settings)
-    patches = chains_of(down, True, 2)
-    chains = plane.chains([chain for chain in patches if len(chain) >= 4] + chains_of(across, False, 4))
+    patches, across = chains_of(find_runs(picture, turf, settings))
+    chains = plane.chains([chain for chain in patches + across if len(chain) >= _LEAST_CHAIN])
 
     def view(points: FloatArray) -> tuple[Mask, Mask]:
         return _view(plane.to_picture(points), turf, width, height)

@@ -199,13 +199,11 @@ def _are_lines(found: Middles, least_length_px: float, bent_px: FloatArray) -> t
 def _correlation(rest: FloatArray, used: Mask) -> float:
     """By how much residuals alike in neighbours enlarge a variance: 1 + 2 sum of all lines' autocorrelations."""
     typical = np.sqrt((rest * rest).sum(axis=1) / np.maximum(used.sum(axis=1), 1))
-    scaled = rest / np.maximum(typical, 1e-6)[:, None]
-    total = 1.0
-    for lag in range(1, min(_LAGS, rest.shape[1] - 1) + 1):
-        pairs = np.count_nonzero(used[:, lag:] & used[:, :-lag])
-        together = float((scaled[:, lag:] * scaled[:, :-lag]).sum())
-        total += 2.0 * max(0.0, together) / max(int(pairs), 1)
-    return total
+    # One line after another with room between them, so that a shifted line meets none but itself.
+    table = np.zeros((2, len(rest), rest.shape[1] + _LAGS))
+    table[0, :, : rest.shape[1]], table[1, :, : rest.shape[1]] = rest / np.maximum(typical, 1e-6)[:, None], used
+    together, pairs = (np.correlate(np.append(row, np.zeros(_LAGS)), row)[1:] for row in table.reshape(2, -1))
+    return 1.0 + 2.0 * float((np.maximum(together, 0.0) / np.maximum(pairs, 1.0)).sum())
 
 
 def _seen(ends: FloatArray, found: Middles, plane: Plane, turf: Turf, height: int) -> tuple[SeenLine, ...]:

@@ -48,7 +48,7 @@ def extent_of(strips: Strips, view: View, turf: Turf, own: FloatArray) -> Extent
     pixels = nearest(view.picture, u, v)
     middle = pixels[1:4].sum(axis=0, dtype=np.float32) / np.float32(3.0)
     darker, other, like_sides = _edges_seen(strips, view, own, middle, view.likeness(pixels[[0, 4]]))
-    tops = np.stack([_at(v, _reached(side, start, gap, -1)) for side in (*darker, *other)])
+    tops = _at(v, _reached(np.concatenate([darker, other]), start, gap, -1))
     # a line before the foot is of a post's colour, and so is what is beside it
     turfy = turf.at(np.stack([u[2], v], axis=-1))
     grassy = _grassy(middle, own, turf) | (like_sides & turfy)
@@ -115,17 +115,17 @@ def _hue(colours: FloatArray) -> FloatArray:
 
 
 def _at(v: FloatArray, index: NDArray[np.intp]) -> FloatArray:
+    """(..., n) of v (n, k) what the index (..., n) says."""
     return np.asarray(v[np.arange(len(v)), index])
 
 
 def _reached(good: Mask, start: NDArray[np.intp], gap: NDArray[np.intp], step: int) -> NDArray[np.intp]:
-    """(n,) the last good one of each row from its start on, up (-1) or down (+1), without a gap that is too long."""
+    """(..., n) the last good one of (..., n, k) from the start (n,) on, up (-1) or down (+1), but for short gaps."""
+    last = good.shape[-1] - 1
     if step < 0:
-        count = good.shape[1] - 1
-        return np.asarray(count - _reached(good[:, ::-1], count - start, gap, 1))
-    place = np.broadcast_to(np.arange(good.shape[1]), good.shape)
-    counts = good & (place >= start[:, None])
-    latest = np.maximum.accumulate(np.where(counts, place, start[:, None]), axis=1)
-    stopped = (place - latest > gap[:, None]) & (place > start[:, None])
-    end = np.where(stopped.any(axis=1), stopped.argmax(axis=1), good.shape[1] - 1)
-    return np.asarray(latest[np.arange(len(latest)), end])
+        return np.asarray(last - _reached(good[..., ::-1], last - start, gap, 1))
+    place, first = np.arange(last + 1), start[:, None]
+    latest = np.maximum.accumulate(np.where(good & (place >= first), place, first), axis=-1)
+    stopped = place - latest > gap[:, None]
+    end = np.where(stopped.any(axis=-1), stopped.argmax(axis=-1), last)
+    return np.asarray(np.take_along_axis(latest, end[..., None], axis=-1)[..., 0])

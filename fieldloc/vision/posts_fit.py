@@ -167,10 +167,10 @@ def _robust(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArra
     robust = np.ones_like(weight)
     count = np.count_nonzero(weight, axis=-1)
     middle = np.maximum(count - 1, 0)[..., None] // 2
+    terms = np.stack([np.ones_like(y), y, y * y, x, x * y])
     for step in range(_STEPS):
         both = weight * robust
-        mass, first, second = (np.sum(both * power, axis=-1) for power in (np.ones_like(y), y, y * y))
-        side, cross = np.sum(both * x, axis=-1), np.sum(both * x * y, axis=-1)
+        mass, first, second, side, cross = (both * terms).sum(axis=-1)
         determinant = np.maximum(mass * second - first**2, 1e-12)
         intercept, slope = (second * side - first * cross) / determinant, (mass * cross - first * side) / determinant
         residual = x - intercept[..., None] - slope[..., None] * y

@@ -48,15 +48,13 @@ def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Ma
     linear = np.zeros((len(values), 5))
     weight = np.ones_like(values)
     for step in range(_ITERATIONS):
-        jacobian = _derivatives(at, place, half, state, linear)
+        jacobian, z, density = _parts(at, place, half, state)
         basis = jacobian[:, 3:]
         basis[flat, 3:] = 0.0
         if step == 0:
             normal = basis @ basis.transpose(0, 2, 1) + 1e-6 * np.eye(5)
             linear = np.linalg.solve(normal, basis @ values[..., None])[..., 0] * free[:, 3:]
-            jacobian = _derivatives(at, place, half, state, linear)
-            basis = jacobian[:, 3:]
-            basis[flat, 3:] = 0.0
+        jacobian[:, :3] = _moves(z, density, half, state, linear)
         residual = values - (linear[:, None] @ basis)[:, 0]
         if step > 1:  # what is no step and no parabola counts little
             scale = 1.5 + 1.5 * np.mean(np.abs(residual), axis=1, keepdims=True)
@@ -77,26 +75,33 @@ def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Ma
     return Profiles(state[:, :2], variance, good)
 
 
-def _derivatives(at: FloatArray, x: FloatArray, half: FloatArray, state: FloatArray, linear: FloatArray) -> FloatArray:
-    """(k, 8, s) of a profile's values by left, right and blur, by both backgrounds, and by 1, x and x^2 inside.
+def _parts(
+    at: FloatArray, x: FloatArray, half: FloatArray, state: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(k, 8, s) a profile's derivatives, of which the last five are filled in: by both backgrounds, and by 1, x and x^2
+    inside; and (k, 2, s) how many standard deviations of the blur places are beyond each edge, and the density there.
 
     x: (k, s) `at` in half widths (k, 1), which stay as they are when edges move.
     """
     out = np.empty((len(at), _UNKNOWNS, at.shape[1]))
-    edges, sigma = state[:, :2, None], state[:, 2:3, None]
+    sigma = state[:, 2:3, None]
     spread = sigma / half[..., None]
-    z = (at[:, None] - edges) / sigma
+    z = (at[:, None] - state[:, :2, None]) / sigma
     below = ndtr(z)
     density = np.exp(-0.5 * z * z) * (1.0 / math.sqrt(2.0 * math.pi))
     wide = spread * density
     blurred = x[:, None] * below + wide
     square = x[:, None] * (blurred + wide) + spread**2 * (below - z * density)
-    level = edges / half[..., None]
-    inside = linear[:, 2:3, None] + (linear[:, 3:4, None] + linear[:, 4:5, None] * level) * level
-    step = (inside - linear[:, :2, None]) * density / sigma
-    out[:, 0], out[:, 1] = -step[:, 0], step[:, 1]
-    out[:, 2] = step[:, 1] * z[:, 1] - step[:, 0] * z[:, 0]
     out[:, 3], out[:, 4] = 1.0 - below[:, 0], below[:, 1]
     for n, part in enumerate((below, blurred, square)):
         out[:, 5 + n] = part[:, 0] - part[:, 1]
-    return out
+    return out, z, density
+
+
+def _moves(z: FloatArray, density: FloatArray, half: FloatArray, state: FloatArray, linear: FloatArray) -> FloatArray:
+    """(k, 3, s) a profile's derivatives by left, right and blur."""
+    edges, sigma = state[:, :2, None], state[:, 2:3, None]
+    level = edges / half[..., None]
+    inside = linear[:, 2:3, None] + (linear[:, 3:4, None] + linear[:, 4:5, None] * level) * level
+    step = (inside - linear[:, :2, None]) * density / sigma
+    return np.stack([-step[:, 0], step[:, 1], step[:, 1] * z[:, 1] - step[:, 0] * z[:, 0]], axis=1)

@@ -69,24 +69,22 @@ class Upright:
 
 def uprights_of(strips: Strips, picture: UInt8Array, turf: Turf, colour: Colour) -> list[Upright]:
     """Those of the strips that could be posts, best first; they may overlap."""
-    if not len(strips.width_px):
-        return []
     view = View(picture, colour)
-    own = _own_colours(strips, view)
-    extent = extent_of(strips, view, turf, own)
-    side_tops, other_tops, foot_v = extent.tops, extent.other_tops, extent.foot_v
-    stand = _standing(strips, foot_v, foot_v - side_tops.min(axis=1), turf, len(picture)) * extent.unbroken
-    # a post whose foot another thing hides is still seen down to where that begins, not to less
-    good = foot_v > strips.rows[:, 1] - 0.3 * (strips.rows[:, 1] - strips.rows[:, 0])
-    good &= view.has_hue(own)
-    if min(colour) > 127:
-        good &= (own.min(axis=1) > _GREY * own.max(axis=1)) & (own.max(axis=1) > _LIGHT * turf.colour.max())
-    good &= _flanks(strips, side_tops.min(axis=1), foot_v, turf) < _BESIDE_TOP
-    good &= foot_v - side_tops.min(axis=1) > _STOUTEST_CUT * strips.width_px
-    strips, own, stand = strips.take(good), own[good], stand[good]
-    side_tops, other_tops, foot_v = side_tops[good], other_tops[good], foot_v[good]
+    strips, own = _of_colour(strips, view, turf)
     if not len(own):
         return []
+    extent = extent_of(strips, view, turf, own)
+    side_tops, other_tops, foot_v = extent.tops, extent.other_tops, extent.foot_v
+    uppermost = side_tops.min(axis=1)
+    stand = _standing(strips, foot_v, foot_v - uppermost, turf, len(picture)) * extent.unbroken
+    # a post whose foot another thing hides is still seen down to where that begins, not to less
+    good = foot_v > strips.rows[:, 1] - 0.3 * (strips.rows[:, 1] - strips.rows[:, 0])
+    good &= _flanks(strips, uppermost, foot_v, turf) < _BESIDE_TOP
+    good &= foot_v - uppermost > _STOUTEST_CUT * strips.width_px
+    if not good.any():
+        return []
+    strips, own, stand = strips.take(good), own[good], stand[good]
+    side_tops, other_tops, foot_v = side_tops[good], other_tops[good], foot_v[good]
     level = view.likeness_of(own)
     bars, top_v = bars_of(strips, view, side_tops, level)
     top_v = np.where(bars.max(axis=1) > 0.0, top_v, np.minimum(top_v, other_tops.min(axis=1)))
@@ -179,12 +177,19 @@ def _touch(one: Upright, other: Upright) -> bool:
     return bool(min(right, others_right) - max(left, others_left) > -room)
 
 
-def _own_colours(strips: Strips, view: View) -> FloatArray:
-    """(n, 3) the inside's colour, where both edges are seen."""
+def _of_colour(strips: Strips, view: View, turf: Turf) -> tuple[Strips, FloatArray]:
+    """Those of the strips whose inside has the post's hue, and (n, 3) its colour where both edges are seen."""
+    if not len(strips.width_px):
+        return strips, np.zeros((0, 3))
     v = strips.rows[:, :1] + (strips.rows[:, 1:] - strips.rows[:, :1]) * np.linspace(0.05, 0.95, 9)
     left, right = strips.left_at(v), strips.right_at(v)
     inside = np.stack([left + f * (right - left) for f in (0.3, 0.5, 0.7)])
-    return np.asarray(np.sort(view.colours_at(inside, v).mean(axis=0), axis=1)[:, v.shape[1] // 2])
+    own = np.sort(view.colours_at(inside, v).mean(axis=0), axis=1)[:, v.shape[1] // 2]
+    good = view.has_hue(own)
+    if min(view.colour) > 127:
+        lightest = own.max(axis=1)
+        good &= (own.min(axis=1) > _GREY * lightest) & (lightest > _LIGHT * turf.colour.max())
+    return strips.take(good), own[good]
 
 
 def _standing(strips: Strips, foot_v: FloatArray, length: FloatArray, turf: Turf, height: int) -> FloatArray:

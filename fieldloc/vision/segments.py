@@ -32,32 +32,48 @@ class Segments:
 
 def straight_pieces(chains: list[FloatArray], least_length_px: float) -> Segments:
     """The straight pieces of chains (m, 3: a point in the plane and the width along the scan line there)."""
-    straight, widths = [], []
-    todo = list(chains)
-    while todo:
-        chain = todo.pop()
-        chord = chain[-1, :2] - chain[0, :2]
-        length = float(np.hypot(chord[0], chord[1]))
-        if len(chain) < _FEWEST or length < least_length_px:
-            continue
-        along = chord / length
-        off = (chain[:, 1] - chain[0, 1]) * along[0] - (chain[:, 0] - chain[0, 0]) * along[1]
-        # A run's width is along its scan line, which is the axis the chain goes across.
-        slant = max(abs(along[0]), abs(along[1]))
-        # Neighbours tell how rough the white's edges are: noise is no bend.
-        rough = float(np.abs(off[2:] - 2.0 * off[1:-1] + off[:-2]).sum()) / (2.0 * (len(off) - 2))
-        slack = max(_BEND_PX, _BEND_SHARE * float(chain[:, 2].sum()) / len(chain) * slant) + rough
-        mean = float(off.sum()) / len(off)
-        if (
-            max(off.max() - mean, mean - off.min()) <= 2.0 * slack
-            and off @ off / len(off) - mean * mean <= (0.4 * slack) ** 2
-        ):
-            straight.append(chain[:, :2])
-            widths.append(_tapered(chain[:, 2]) * slant)
-            continue
-        split = min(max(int(np.abs(off).argmax()), 1), len(chain) - 2)
-        todo += [chain[: split + 1], chain[split:]]
-    return Segments(_fitted(straight), np.array(widths).reshape(-1, 2))
+    straight, widths = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    todo = [chain for chain in chains if len(chain) >= _FEWEST]
+    while todo:  # those that bend in two, and again
+        fits, long, off, slant = _bends(todo, least_length_px)
+        found = [chain for chain, fit in zip(todo, fits, strict=True) if fit]
+        straight += [chain[:, :2] for chain in found]
+        if found:
+            widths.append(_tapered([chain[:, 2] for chain in found]) * slant[fits, None])
+        halves = []
+        for n in np.flatnonzero(long & ~fits).tolist():
+            chain = todo[n]
+            split = min(max(int(np.abs(off[n]).argmax()), 1), len(chain) - 2)
+            halves += [chain[: split + 1], chain[split:]]
+        todo = [chain for chain in halves if len(chain) >= _FEWEST]
+    return Segments(_fitted(straight[1:]), np.concatenate(widths))
+
+
+def _bends(chains: list[FloatArray], least_length_px: float) -> tuple[Mask, Mask, list[FloatArray], FloatArray]:
+    """(k,) which chains are straight and long enough, and which are long enough; how far each one's points (m,) are off
+    its chord; (k,) across a chain, how wide what is one wide along the scan lines is.
+    """
+    sizes = np.array([len(chain) for chain in chains])
+    last = np.cumsum(sizes) - 1
+    begins = last - sizes + 1
+    u, v, width = np.concatenate(chains).T
+    across, down = u[last] - u[begins], v[last] - v[begins]
+    length = np.maximum(np.hypot(across, down), 1e-9)
+    across, down = across / length, down / length
+    off = (v - v[begins].repeat(sizes)) * across.repeat(sizes) - (u - u[begins].repeat(sizes)) * down.repeat(sizes)
+    # A run's width is along its scan line, which is the axis the chain goes across.
+    slant = np.maximum(np.abs(across), np.abs(down))
+    # Neighbours tell how rough the white's edges are: noise is no bend.
+    second = np.zeros(len(off))
+    second[1:-1] = np.abs(off[2:] - 2.0 * off[1:-1] + off[:-2])
+    second[begins] = second[last] = 0.0
+    rough, wide, square = np.add.reduceat([second, width, off * off], begins, axis=1)
+    mean = np.add.reduceat(off, begins) / sizes
+    slack = np.maximum(_BEND_PX, _BEND_SHARE * wide / sizes * slant) + rough / (2.0 * (sizes - 2))
+    farthest = np.maximum(np.maximum.reduceat(off, begins) - mean, mean - np.minimum.reduceat(off, begins))
+    long = length >= least_length_px
+    fits = long & (farthest <= 2.0 * slack) & (square / sizes - mean * mean <= (0.4 * slack) ** 2)
+    return fits, long, np.split(off, begins[1:]), slant
 
 
 def _fitted(pieces: list[FloatArray]) -> FloatArray:
@@ -95,12 +111,16 @@ def _principal(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, Flo
     return mean, np.array([math.cos(angle), math.sin(angle)])
 
 
-def _tapered(width: FloatArray) -> FloatArray:
-    """(2,) the width at either end of a piece, from the medians of its halves."""
-    half = len(width) // 2
-    first, second = float(np.sort(width[:half])[half // 2]), float(np.sort(width[half:])[half // 2])
+def _tapered(widths: list[FloatArray]) -> FloatArray:
+    """(k, 2) the width at either end of each piece, from the medians of the halves of its widths (m,)."""
+    sizes = np.array([[len(width) // 2, len(width) - len(width) // 2] for width in widths]).ravel()
+    half = np.arange(len(sizes)).repeat(sizes)
+    table = np.concatenate(widths)
+    ranked = table[np.lexsort((table, half))]
+    first, second = ranked[np.cumsum(sizes) - sizes + sizes[::2].repeat(2) // 2].reshape(-1, 2).T
     taper = 0.5 * (second - first)
-    return np.asarray(np.maximum([first - taper, second + taper], 0.5 * min(first, second)))
+    ends = np.stack([first - taper, second + taper], axis=1)
+    return np.asarray(np.maximum(ends, 0.5 * np.minimum(first, second)[:, None]))
 
 
 def merged(pieces: Segments) -> Segments:

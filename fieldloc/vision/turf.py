@@ -142,12 +142,9 @@ def _tops(mask: Mask) -> FloatArray:
 
 def _upper_hull(points: FloatArray) -> FloatArray:
     """The corners, from left to right, of the upper convex hull of points (n, 2) sorted by u (v grows downwards)."""
-    hull: list[tuple[float, float]] = []
-    for u, v in points.tolist():
-        while len(hull) > 1:
-            (s, t), (x, y) = hull[-2], hull[-1]
-            if (x - s) * (v - t) - (u - s) * (y - t) > 0.0:
-                break
-            hull.pop()
-        hull.append((u, v))
-    return np.array(hull)
+    if len(points) < 3:
+        return points
+    low = points[:, 1].max() + 1.0
+    around = np.concatenate([[[points[0, 0], low]], points, [[points[-1, 0], low]]]).astype(np.float32)
+    hull = np.sort(cv2.convexHull(around, returnPoints=False)[:, 0])
+    return np.asarray(points[hull[1:-1] - 1])

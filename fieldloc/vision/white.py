@@ -4,7 +4,7 @@ What is white is told from sunlit turf by the colour of the step, not by its bri
 red rise more than green; from shade to sun, less. So a thin, blurred or shaded line passes, a stripe of sun does not.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from fieldloc.vision.turf import Mask, Turf
 Single = NDArray[np.float32]
 
 SCAN_STEP_PX = 4  # from one scan line to the next, of which all pixels are averaged
+SCAN_GAP = 8  # numbers between the last scan line down the picture and the first across it
 
 _SIGMAS = 2.5  # above the turf's own texture
 _WIDE_SHARE, _NEAR_SHARE = 10, 32  # windows for the turf around a pixel are such a part of the picture's width
@@ -31,25 +32,32 @@ _COLOUR_STEP = 0.8  # of blue and red to that of green: about 0.5 from shade to 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Runs:
-    """n runs along parallel scan lines. scan: (n,) row of the scan line, in ascending order; at_px (n,) its place
-    across (u where scan lines go down the picture, v where they go across it); first_px, last_px: (n,) where the run
-    begins and ends along it.
+    """n runs along scan lines, of which some go down the picture and others, whose numbers follow after a gap, across.
+
+    scan: (n,) number of the scan line, in ascending order; down: (n,) whether it goes down; at_px: (n,) its place
+    across (u where it goes down, v else); first_px, last_px: (n,) where the run begins and ends along it.
     """
 
     scan: NDArray[np.intp]
+    down: Mask
     at_px: FloatArray
     first_px: FloatArray
     last_px: FloatArray
 
-    def moved(self, across_px: float, along_px: float) -> "Runs":
-        return Runs(self.scan, self.at_px + across_px, self.first_px + along_px, self.last_px + along_px)
+    def take(self, which: Mask) -> "Runs":
+        return Runs(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def points(self, along_px: FloatArray) -> FloatArray:
+        """(..., n, 2) pixels at places (..., n) along the scan lines."""
+        across_px = np.broadcast_to(self.at_px, along_px.shape)
+        return np.stack([np.where(self.down, across_px, along_px), np.where(self.down, along_px, across_px)], axis=-1)
 
     @property
     def middle_px(self) -> FloatArray:
         return 0.5 * (self.first_px + self.last_px)
 
 
-_NONE = Runs(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros(0))
+_NONE = Runs(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.bool_), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 def weights_of(colour: FloatArray) -> FloatArray:
@@ -66,11 +74,11 @@ def grey_of(picture: UInt8Array, turf: Turf) -> UInt8Array:
     return np.asarray(cv2.extractChannel(cv2.transform(picture, weights), 0), dtype=np.uint8)
 
 
-def find_runs(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> tuple[Runs, Runs]:
-    """The runs on scan lines down the picture and on those across it, in its pixels."""
+def find_runs(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> Runs:
+    """The runs on scan lines down the picture and across it, in its pixels."""
     height, width = picture.shape[:2]
     if turf.boundary_px is None:
-        return _NONE, _NONE
+        return _NONE
     # Nothing above the field's border is looked at. What is left goes evenly into all the grids of common pictures:
     # OpenCV averages whole pixels many times faster than parts of them.
     above = max(0, int(turf.boundary_px[:, 1].min() / turf.scale[1]) - 2) // SCAN_STEP_PX * SCAN_STEP_PX
@@ -81,9 +89,14 @@ def find_runs(picture: UInt8Array, turf: Turf, settings: VisionSettings) -> tupl
     down = np.ascontiguousarray(_reduced(grey, max(1, width // SCAN_STEP_PX), height - top).T)
     across = _reduced(grey, width, max(1, (height - top) // SCAN_STEP_PX))
     widest_px = settings.widest * height
-    first = _runs(down, level.T, width, widest_px).moved(0.0, top)
-    second = _runs(across, level, height - top, widest_px).moved(top, 0.0)
-    return _white_on_turf(first, picture, turf, True), _white_on_turf(second, picture, turf, False)
+    first, second = _runs(down, level.T, width, widest_px), _runs(across, level, height - top, widest_px)
+    scan, at_px, begins, ends = (np.concatenate(pair) for pair in zip(first, second, strict=True))
+    goes_down = np.arange(len(scan)) < len(first[0])
+    scan[~goes_down] += len(down) + SCAN_GAP
+    at_px[~goes_down] += top
+    begins[goes_down] += top
+    ends[goes_down] += top
+    return _white_on_turf(Runs(scan, goes_down, at_px, begins, ends), picture, turf)
 
 
 def _reduced(picture: UInt8Array, width: int, height: int) -> UInt8Array:
@@ -146,8 +159,13 @@ def _like(grey: UInt8Array, mask: UInt8Array, mean: Single, spread: Single) -> U
     return np.asarray(cv2.bitwise_and(near, mask), dtype=np.uint8)
 
 
-def _runs(grey: UInt8Array, level: UInt8Array, extent_px: int, widest_px: float) -> Runs:
-    """grey: (n, length) a scan line per row. level: `_turf_level`, a scan line per row. extent_px: of all of them."""
+def _runs(
+    grey: UInt8Array, level: UInt8Array, extent_px: int, widest_px: float
+) -> tuple[NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
+    """Scan lines, their places across, where runs begin and where they end, (k,) each.
+
+    grey: (n, length) a scan line per row. level: `_turf_level`, a scan line per row. extent_px: of all of them.
+    """
     count, length = grey.shape
     grey = np.asarray(cv2.GaussianBlur(grey, (3, 1), 0), dtype=np.uint8)
     bar = np.asarray(cv2.resize(level, (length, count), interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
@@ -165,34 +183,28 @@ def _runs(grey: UInt8Array, level: UInt8Array, extent_px: int, widest_px: float)
     scan, first, last = scan[inside], first[inside], last[inside]
     begins = first - _beyond(grey, bar, scan, first, first - 1)
     ends = last + _beyond(grey, bar, scan, last, last + 1)
-    return Runs(scan, (scan + 0.5) * (extent_px / count) - 0.5, begins, ends)
+    return scan, (scan + 0.5) * (extent_px / count) - 0.5, begins, ends
 
 
-def _white_on_turf(runs: Runs, picture: UInt8Array, turf: Turf, down: bool) -> Runs:
+def _white_on_turf(runs: Runs, picture: UInt8Array, turf: Turf) -> Runs:
     """Those with turf on either side that are white beside it."""
     aside = 0.15 * (runs.last_px - runs.first_px)
     # A thin line's halo in the compressed colours reaches some pixels.
     away = _BEYOND_PX[:, None] + aside
     places = np.stack([runs.first_px - away, runs.last_px + away])
-    kept = turf.at(_points(runs, places, down)).any(axis=1).all(axis=0)
+    kept = turf.at(runs.points(places)).any(axis=1).all(axis=0)
     places = np.stack([runs.first_px - 2.0 - aside, runs.last_px + 2.0 + aside, runs.middle_px])
-    before, after, white = _colours(picture, _points(runs, places, down), down)
+    before, after, white = _colours(picture, runs.points(places), runs.down)
     step = white - 0.5 * (before + after)
     kept &= step @ weights_of(turf.colour) > _COLOUR_STEP * step[:, 1]
     kept &= np.minimum(np.minimum(step[:, 0], step[:, 1]), step[:, 2]) > 0.5 * _COLOUR_STEP * step[:, 1]
-    return Runs(runs.scan[kept], runs.at_px[kept], runs.first_px[kept], runs.last_px[kept])
+    return runs.take(kept)
 
 
-def _points(runs: Runs, along_px: FloatArray, down: bool) -> FloatArray:
-    """(..., n, 2) pixels at places (..., n) along the scan lines."""
-    points = np.empty((*along_px.shape, 2))
-    points[..., 0 if down else 1], points[..., 1 if down else 0] = runs.at_px, along_px
-    return points
-
-
-def _colours(picture: UInt8Array, points: FloatArray, down: bool) -> FloatArray:
-    """(..., 3) of the pixels at points (..., 2), with their neighbours across the scan line."""
-    pixels = np.rint(points).astype(np.intp) + np.array([[[1, 0]] if down else [[0, 1]]]) * _ASIDE
+def _colours(picture: UInt8Array, points: FloatArray, down: Mask) -> FloatArray:
+    """(..., 3) of the pixels at points (..., n, 2), with their neighbours across the scan lines."""
+    across = np.stack([down, ~down], axis=-1) * _ASIDE
+    pixels = np.rint(points).astype(np.intp) + across
     column = np.minimum(np.maximum(pixels[..., 0], 0), picture.shape[1] - 1)
     row = np.minimum(np.maximum(pixels[..., 1], 0), picture.shape[0] - 1)
     nearest = picture.reshape(-1, 3).take(row * picture.shape[1] + column, axis=0)
