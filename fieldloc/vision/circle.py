@@ -4,7 +4,6 @@ It is sought before the lines, as its arcs, taken for lines, are the commonest w
 of the longest bent chains and to each two of them; the one that explains most of all chains is fitted again to those.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
@@ -156,32 +155,36 @@ def _explained(
     return int(windows.sizes[on].sum())
 
 
-def _is_bent(chain: FloatArray) -> bool:
-    """Whether a parabola over the chord explains what a straight line does not."""
-    if len(chain) < 8:
-        return False
-    (u, v), (u_middle, v_middle), (u_last, v_last) = chain[[0, len(chain) // 2, -1], :2].tolist()
-    across, down = u_last - u, v_last - v
-    length = math.hypot(across, down)
-    sagitta = abs(across * (v_middle - v) - down * (u_middle - u)) / max(length, 1e-9)
-    if length < 1.0 or sagitta < 0.5 * _LEAST_SAGITTA_PX:
-        return False
-    along = np.array([across, down]) / length
-    relative = chain[:, :2] - chain[0, :2]
-    basis = np.ones((3, len(chain)))
-    basis[1] = place = (2.0 / length) * (relative @ along) - 1.0
-    basis[2] = place * place
-    off = relative @ np.array([-along[1], along[0]])
-    sizes = np.linalg.solve(basis @ basis.T + 1e-9 * np.eye(3), basis @ off)
-    rest = off - sizes @ basis
-    return bool(abs(sizes[2]) > max(_LEAST_SAGITTA_PX, 3.0 * math.sqrt(rest @ rest / len(rest))))
+def _bent(chains: list[FloatArray]) -> list[FloatArray]:
+    """The chains of which a parabola over the chord explains what a straight line does not."""
+    chains = [chain for chain in chains if len(chain) >= _WINDOW]
+    if not chains:
+        return []
+    size = np.array([len(chain) for chain in chains])
+    last = np.cumsum(size) - 1
+    begins = last - size + 1
+    points = np.concatenate(chains)[:, :2].T
+    chord = points[:, last] - points[:, begins]
+    length = np.maximum(np.hypot(chord[0], chord[1]), 1e-9)
+    across, down = (chord / length).repeat(size, axis=1)
+    u, v = points - points[:, begins].repeat(size, axis=1)
+    terms = np.ones((4, len(u)))
+    terms[1] = place = (2.0 / length).repeat(size) * (u * across + v * down) - 1.0
+    terms[2], terms[3] = place * place, v * across - u * down
+    products = np.add.reduceat(terms[:, None] * terms, begins, axis=2).transpose(2, 0, 1)
+    wanted = products[:, :3, 3]
+    parabola = np.linalg.solve(products[:, :3, :3] + 1e-9 * np.eye(3), wanted[..., None])[..., 0]
+    rest = np.maximum(products[:, 3, 3] - (parabola * wanted).sum(axis=1), 0.0)
+    bent = np.abs(parabola[:, 2]) > np.maximum(_LEAST_SAGITTA_PX, 3.0 * np.sqrt(rest / size))
+    bent &= (length >= 1.0) & (np.abs(terms[3, begins + size // 2]) >= 0.5 * _LEAST_SAGITTA_PX)
+    return [chains[n] for n in np.flatnonzero(bent)]
 
 
 def _arcs(chains: list[FloatArray]) -> list[FloatArray]:
     """The chains (m, 3) that may be the circle's arcs. What bends at a corner may be two lines, or an arc and what it
     runs into: it is tried beside arcs that are smooth, and none is without these.
     """
-    bent = sorted((chain for chain in chains if _is_bent(chain)), key=len, reverse=True)
+    bent = sorted(_bent(chains), key=len, reverse=True)
     if not bent:
         return []
     told = list(zip(bent, _are_smooth(bent), strict=True))

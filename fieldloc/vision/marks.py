@@ -21,10 +21,10 @@ _FLOOR_PX = 0.1  # its outline is made of pixels
 
 def find_marks(chains: list[FloatArray], grey: UInt8Array, turf: Turf) -> tuple[SeenMark, ...]:
     """chains: (m, 3) of runs down the picture, which are patches where they are short."""
-    boxes = [_box(chain) for chain in chains if _LEAST_PX[0] <= len(chain) * SCAN_STEP_PX <= _LARGEST * grey.shape[1]]
-    if not boxes:
+    patches = [chain for chain in chains if _LEAST_PX[0] <= len(chain) * SCAN_STEP_PX <= _LARGEST * grey.shape[1]]
+    if not patches:
         return ()
-    middle, size, filled = (np.array(part) for part in zip(*boxes, strict=True))
+    middle, size, filled = _boxes(patches)
     flat = size[:, 0] / size[:, 1]
     fits = (size >= _LEAST_PX).all(axis=1) & (flat >= 1.0 / _TALLEST) & (flat <= _FLATTEST) & (filled > _FILLED)
     angle = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
@@ -35,12 +35,17 @@ def find_marks(chains: list[FloatArray], grey: UInt8Array, turf: Turf) -> tuple[
     return tuple(mark for mark in found if mark is not None)
 
 
-def _box(chain: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Middle (2,) and size (2,) of the box about a patch, and the share of it that is white."""
-    low = np.array([chain[0, 0] - 0.5 * SCAN_STEP_PX, float((chain[:, 1] - 0.5 * chain[:, 2]).min())])
-    high = np.array([chain[-1, 0] + 0.5 * SCAN_STEP_PX, float((chain[:, 1] + 0.5 * chain[:, 2]).max())])
-    size = high - low
-    return 0.5 * (low + high), size, float(chain[:, 2].sum()) * SCAN_STEP_PX / float(size[0] * size[1])
+def _boxes(patches: list[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Middles (k, 2) and sizes (k, 2) of the boxes about patches, and the shares (k,) of them that are white."""
+    counts = np.array([len(patch) for patch in patches])
+    begins = np.cumsum(counts) - counts
+    u, v, width = np.concatenate(patches).T
+    left, right = u[begins] - 0.5 * SCAN_STEP_PX, u[begins + counts - 1] + 0.5 * SCAN_STEP_PX
+    upper = np.minimum.reduceat(v - 0.5 * width, begins)
+    lower = np.maximum.reduceat(v + 0.5 * width, begins)
+    size = np.stack([right - left, lower - upper], axis=1)
+    white = np.add.reduceat(width, begins) * SCAN_STEP_PX
+    return np.stack([0.5 * (left + right), 0.5 * (upper + lower)], axis=1), size, white / (size[:, 0] * size[:, 1])
 
 
 def _measured(middle: FloatArray, size: FloatArray, ring: FloatArray, grey: UInt8Array) -> SeenMark | None:
