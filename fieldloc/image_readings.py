@@ -53,13 +53,13 @@ def read(anchors: Anchors, posts: PostsSeen, field: ImageMap, turn_rad: float, l
         found = solve(start, anchors, posts, field, _SEED_STEPS)
         found = found.take(found.log_integrals > -np.inf)
         out = whole.beside(found)
-    more = _with_more_posts(out, posts, field)
+    more, predicted = _with_more_posts(out, posts, field)
     if found is not None:
         best = float(whole.log_integrals.max(initial=-np.inf))
         straight = _straightened(found, anchors, posts, field, least, best)
         out = whole.beside(_bent(straight, anchors, field))
     if len(more):
-        out = out.beside(solve(more, anchors, posts, field, 1))
+        out = out.beside(solve(more, anchors, posts, field, 1, predicted=predicted))
     return out.take(_log_peaks(out) > least)
 
 
@@ -153,8 +153,9 @@ def _pairs(anchors: Anchors, posts: PostsSeen, field: ImageMap) -> Readings:
     return Readings(np.full(len(row), len(anchors) - 1), matched, poses)
 
 
-def _with_more_posts(base: Solved, posts: PostsSeen, field: ImageMap) -> Readings:
-    """The readings with further posts that stand where they should from the pose; each set of posts once."""
+def _with_more_posts(base: Solved, posts: PostsSeen, field: ImageMap) -> tuple[Readings, FloatArray]:
+    """The readings with further posts that stand where they should from the pose; each set of posts once. And what
+    those are from there."""
     poses, matched = base.readings.poses, base.readings.matched
     predicted = posts.predicted(poses[:, None], field.landmarks)
     slope, error = predicted[..., :3], predicted[:, None, :, :, 3] - posts.fused[:, None]
@@ -177,8 +178,8 @@ def _with_more_posts(base: Solved, posts: PostsSeen, field: ImageMap) -> Reading
             more = matched[row]
             more[:, post] = mark
             matched, parents = np.concatenate([matched, more]), np.concatenate([parents, parents[row]])
-    rows = parents[len(base) :]
-    return Readings(base.readings.anchors[rows], matched[len(base) :], poses[rows])
+    rows, matched = parents[len(base) :], matched[len(base) :]
+    return Readings(base.readings.anchors[rows], matched, poses[rows]), predicted[rows[:, None], matched]
 
 
 def _straightened(

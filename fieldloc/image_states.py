@@ -88,10 +88,17 @@ class Solved:
 
 
 def solve(
-    readings: Readings, anchors: Anchors, posts: PostsSeen, field: ImageMap, steps: int, windows: Windows | None = None
+    readings: Readings,
+    anchors: Anchors,
+    posts: PostsSeen,
+    field: ImageMap,
+    steps: int,
+    windows: Windows | None = None,
+    predicted: FloatArray | None = None,
 ) -> Solved:
     """So many steps of Gauss and Newton from the readings' poses; all else is as the last of them sees it.
 
+    predicted: (k, p, 2, 4) what the posts are from there, as PostsSeen says, where that is known.
     Ruled out is what fits worse than noise can make it, beside the field, or where the lines are not long enough.
     """
     count, size = readings.matched.shape
@@ -110,12 +117,14 @@ def solve(
         if windows is not None:
             _linearise_windows(model[:, 3], windows, poses)
         if size:
-            predicted = posts.predicted(poses[:, None], marks)
+            if predicted is None:
+                predicted = posts.predicted(poses[:, None], marks)
             predicted[..., 3] -= posts.fused
             predicted[..., 0, 3] = se2.wrap(predicted[..., 0, 3])
             by_posts[..., 4:] = posts.whitening_both @ predicted
             by_posts[..., 7] += posts.white_offset
             by_posts *= is_matched[..., None, None]
+            predicted = None
         log_survey: FloatArray | float = 0.0
         whole = model
         if field.surveyed is not None:
@@ -151,8 +160,11 @@ def _root(squares: FloatArray) -> FloatArray:
 
 def _linearise_anchors(model: FloatArray, whitening: FloatArray, at: FloatArray, poses: FloatArray) -> None:
     """Whitened Jacobians and errors of poses (k, 3) against anchors at (k, 3), into (k, 3, 8)."""
-    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
     away = poses - at
+    if not away.any():
+        model[..., 4:7], model[..., 7] = whitening, 0.0
+        return
+    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
     x, y, turn = away[:, 0], away[:, 1], se2.wrap(away[:, 2])
     turned = np.zeros((len(at), 3, 4))
     turned[:, 0, 0] = turned[:, 1, 1] = np.cos(turn)

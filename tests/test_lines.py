@@ -162,6 +162,7 @@ def test_the_most_agreeing_bearing_wins_over_the_mean_modulo_90_degrees() -> Non
         bearing_rad=bearing,
         bearing_covariance=covariance,
         bearing_variance=covariance.diagonal(),
+        bearing_by_attitude=np.zeros((count, 3)),
     )
     agree, common = agreeing(segments)
     assert agree.tolist() == [True] * 3 + [False] * 4

@@ -24,7 +24,7 @@ class LineSegments:
     ray_to_pixel (n, 2, 3, 2) their Jacobians. covariance_px2: (n, 4, 4) as observed.
     normals: (n, 3) of the planes through the camera and both ends, camera frame, not of unit length.
     bearing_rad: (n,) of each segment in the robot frame, modulo pi; bearing_covariance (n, n) with the mount's noise,
-    bearing_variance (n,) without.
+    bearing_variance (n,) without; bearing_by_attitude (n, 3) change with pan, tilt and roll.
     """
 
     observed: NDArray[np.intp]
@@ -35,6 +35,7 @@ class LineSegments:
     bearing_rad: FloatArray
     bearing_covariance: FloatArray
     bearing_variance: FloatArray
+    bearing_by_attitude: FloatArray
 
     def only(self, chosen: NDArray[np.bool_]) -> "LineSegments":
         """Those where the mask (n,) is True."""
@@ -49,6 +50,7 @@ class LineSegments:
             self.bearing_rad[chosen],
             self.bearing_covariance[np.ix_(chosen, chosen)],
             self.bearing_variance[chosen],
+            self.bearing_by_attitude[chosen],
         )
 
 
@@ -101,7 +103,7 @@ def usable_segments(
     covariance = by_attitude @ attitude @ by_attitude.T
     covariance.flat[:: len(own) + 1] += own
     bearing = np.arctan2(-upright[:, 0], upright[:, 1])
-    segments = LineSegments(index, rays, ray_to_pixel, noise, normals, bearing, covariance, own)
+    segments = LineSegments(index, rays, ray_to_pixel, noise, normals, bearing, covariance, own, by_attitude)
     sharp = covariance.diagonal() - mount.covariance[1, 1] < _MAX_BEARING_SIGMA_RAD**2
     return segments.only(sharp) if sharp.any() else None
 

@@ -101,8 +101,10 @@ def _fit(mount: CameraMount, root: FloatArray, segments: LineSegments, bearing: 
     jacobian = np.empty((len(weight), 5))
     jacobian[:, 0] = -1.0
     moved = mount
-    for _ in range(_ITERATIONS):
-        residual, by_attitude = bearing_misfit(moved, segments, float(x[0]))
+    residual, by_attitude = modulo_quarter(segments.bearing_rad - bearing), segments.bearing_by_attitude
+    for again in range(_ITERATIONS):
+        if again:
+            residual, by_attitude = bearing_misfit(moved, segments, float(x[0]))
         jacobian[:, 1:] = by_attitude @ root[1:]
         weighted = jacobian.T * weight
         gradient = weighted @ residual
