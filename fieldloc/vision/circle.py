@@ -149,7 +149,7 @@ def _explained(
     wanted = bend - np.add.reduceat(windows.bow * off, windows.begins)
     # Every window has a say where the ellipse wants a bend that cannot be noise: a corner is bent much, in one place.
     asked = on & (np.abs(wanted) > np.maximum(_SIGMAS * windows.sigma_px, least_px))
-    found = np.clip(bend[asked] / wanted[asked], 0.0, 1.0) @ windows.sizes[asked]
+    found = np.minimum(np.maximum(bend[asked] / wanted[asked], 0.0), 1.0) @ windows.sizes[asked]
     if not asked.any() or found < least * windows.sizes[asked].sum():
         return 0
     return int(windows.sizes[on].sum())

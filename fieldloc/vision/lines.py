@@ -128,10 +128,11 @@ def _middles(
     profiles = measure(grey, pixels, normals, width * zoom)
     off, wide = np.zeros(real.shape), np.zeros(real.shape)
     used, bare = np.zeros(real.shape, dtype=np.bool_), np.zeros(real.shape, dtype=np.bool_)
-    off[real], wide[real] = profiles.middle_px / zoom, profiles.width_px / zoom
-    used[real] = profiles.good & (profiles.step > 0.6 * settings.least_contrast)
+    on = profiles.good & (profiles.step > 0.6 * settings.least_contrast)
+    off[real], wide[real] = np.where(on, [profiles.middle_px / zoom, profiles.width_px / zoom], 0.0)
+    used[real] = on
     bare[real] = turf.at(pixels)
-    return _without_outliers(Middles(place, np.nan_to_num(off), np.nan_to_num(wide), used, bare))
+    return _without_outliers(Middles(place, off, wide, used, bare))
 
 
 def _without_outliers(found: Middles) -> Middles:

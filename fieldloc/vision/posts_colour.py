@@ -77,8 +77,10 @@ def nearest(picture: UInt8Array, u: FloatArray, v: FloatArray) -> UInt8Array:
     shape = np.broadcast_shapes(u.shape, v.shape)
     if not math.prod(shape):
         return np.zeros(shape + picture.shape[2:], dtype=np.uint8)
-    maps = [np.broadcast_to(one.astype(np.float32), shape).reshape(-1, shape[-1]) for one in (u, v)]
-    pixels = cv2.remap(picture, maps[0], maps[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    places = np.empty((2, *shape), dtype=np.float32)
+    places[0], places[1] = u, v
+    across, down = places.reshape(2, -1, shape[-1])
+    pixels = cv2.remap(picture, across, down, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(pixels, dtype=np.uint8).reshape(shape + picture.shape[2:])
 
 

@@ -11,6 +11,7 @@ from fieldloc.vision.posts_pairs import Strips
 from fieldloc.vision.turf import Mask, Turf
 
 _SAMPLES = 56  # along a strip and what may be above and below it
+_SHARES = np.linspace(0.0, 1.0, _SAMPLES)
 _FINE = np.linspace(-1.0, 1.0, 11)  # steps about where it ends above
 _REACH = 1.5, 9.0  # up and down from the strip, in its lengths and its widths
 _GAP = 0.15  # of a strip's length that may be hidden within it
@@ -37,7 +38,7 @@ def extent_of(strips: Strips, view: View, turf: Turf, own: FloatArray) -> Extent
     reach = np.maximum(_REACH[0] * length, _REACH[1] * strips.width_px)
     first = np.maximum(strips.rows[:, 0] - reach, 0)
     last = np.minimum(strips.rows[:, 1] + reach, len(view.picture) - 1)
-    v = first[:, None] + (last - first)[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
+    v = first[:, None] + (last - first)[:, None] * _SHARES
     step = np.maximum(v[:, 1] - v[:, 0], 1e-9)
     gap = np.maximum(1, np.round(np.maximum(_GAP * length, 3.0) / step)).astype(np.intp)
     start = np.abs(v - strips.rows.mean(axis=1)[:, None]).argmin(axis=1)

@@ -31,6 +31,8 @@ _ON_TURF = 0.6  # of the points beneath and beside the foot
 _WIDEST_GOAL = 3.0  # by its height
 _NEARLY, _FAR = 0.2, 1.5  # of a score; of contrasts
 _UNLIKE = 2.0  # times slimmer or stouter than the clearest post of the picture
+_ALONG = np.linspace(0.05, 0.95, 9)  # shares of the rows with both edges, at which the inside is looked at
+_UPPER = np.linspace(0.05, 0.35, 4)  # shares of the height, from above, at which flanks are looked at
 _BESIDE_TOP = 0.5  # of the points beside the upper part may be turf
 
 
@@ -181,7 +183,7 @@ def _of_colour(strips: Strips, view: View, turf: Turf) -> tuple[Strips, FloatArr
     """Those of the strips whose inside has the post's hue, and (n, 3) its colour where both edges are seen."""
     if not len(strips.width_px):
         return strips, np.zeros((0, 3))
-    v = strips.rows[:, :1] + (strips.rows[:, 1:] - strips.rows[:, :1]) * np.linspace(0.05, 0.95, 9)
+    v = strips.rows[:, :1] + (strips.rows[:, 1:] - strips.rows[:, :1]) * _ALONG
     left, right = strips.left_at(v), strips.right_at(v)
     inside = np.stack([left + f * (right - left) for f in (0.3, 0.5, 0.7)])
     own = np.sort(view.colours_at(inside, v).mean(axis=0), axis=1)[:, v.shape[1] // 2]
@@ -205,7 +207,7 @@ def _standing(strips: Strips, foot_v: FloatArray, length: FloatArray, turf: Turf
 
 def _flanks(strips: Strips, top_v: FloatArray, foot_v: FloatArray, turf: Turf) -> FloatArray:
     """(n,) the share of turf beside the upper part."""
-    v = top_v[:, None] + np.linspace(0.05, 0.35, 4) * (foot_v - top_v)[:, None]
+    v = top_v[:, None] + _UPPER * (foot_v - top_v)[:, None]
     aside = 2.0 + 0.5 * np.maximum(3.0, strips.width_px)[:, None]
     u = np.stack([strips.left_at(v) - aside, strips.right_at(v) + aside])
     return np.asarray(turf.at(np.stack([u, np.broadcast_to(v, u.shape)], axis=-1)).mean(axis=(0, 2)))

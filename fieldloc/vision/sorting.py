@@ -21,7 +21,8 @@ _STUB_WIDTHS = 3.5  # what is shorter, and neither at another line nor at the pi
 _LIMB_WIDTHS = 8.0  # what is shorter and ends at something that is no turf is a part of that
 _LOWEST_PX = 8.0  # of the horizon above the field's border, surely
 _TAPER = 0.25  # of the logarithm of a width, beyond perspective and three standard deviations
-_BEYOND = 8  # places looked at beyond a line's end
+_ALONG = np.linspace(0.05, 0.95, 9)[:, None]  # shares of a piece's length at which it is looked at
+_BEYOND = np.linspace(0.1, 1.0, 8)  # shares of the way looked at beyond a line's end
 _STEEP = 0.6  # of a unit along a line, down the picture: what is flatter is not upright
 _TURNED = 0.1  # sine of the angle between two lines that meet
 _UPRIGHT = 5  # of them with white going on and turf on neither side: upright
@@ -81,12 +82,11 @@ def _covered(ends: FloatArray, width: FloatArray) -> Mask:
     along = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=1)
     along = along / length[:, None]
-    share = np.linspace(0.05, 0.95, 9)
-    points = ends[:, :1] + share[:, None] * (ends[:, 1:] - ends[:, :1])
+    points = ends[:, :1] + _ALONG * (ends[:, 1:] - ends[:, :1])
     relative = points[:, :, None] - ends[None, None, :, 0]
     place = (relative * along).sum(axis=-1)
     off = np.abs(relative[..., 1] * along[:, 0] - relative[..., 0] * along[:, 1])
-    there = np.clip(place / length, 0.0, 1.0)
+    there = np.minimum(np.maximum(place / length, 0.0), 1.0)
     wide = width[:, 0] + (width[:, 1] - width[:, 0]) * there
     inside = (off < 0.6 * wide + 0.5) & (place > -wide) & (place < length + wide)
     inside &= (length[None, :] > length[:, None])[:, None]
@@ -97,7 +97,7 @@ def _on_circle(ends: FloatArray, width: FloatArray, circle: SeenCircle | None) -
     """(n,) which pieces are mostly within the white of the circle."""
     if circle is None:
         return np.zeros(len(ends), dtype=np.bool_)
-    points = ends[:, :1] + np.linspace(0.05, 0.95, 9)[:, None] * (ends[:, 1:] - ends[:, :1])
+    points = ends[:, :1] + _ALONG * (ends[:, 1:] - ends[:, :1])
     away = np.linalg.norm(points[:, :, None] - circle.points_px, axis=-1).min(axis=2)
     return np.asarray((away < 0.5 * width.mean(axis=1, keepdims=True) + _CIRCLE_PX).mean(axis=1) >= _COVERED)
 
@@ -136,7 +136,7 @@ def _beyond(
     along = ends[:, 1] - ends[:, 0]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     outward = np.stack([-along, along], axis=1)
-    away = 2.0 + np.linspace(0.1, 1.0, _BEYOND) * np.maximum(10.0, 1.5 * width)[:, :, None]
+    away = 2.0 + _BEYOND * np.maximum(10.0, 1.5 * width)[:, :, None]
     points = ends[:, :, None] + away[..., None] * outward[:, :, None]
     normals = np.stack([-outward[..., 1], outward[..., 0]], axis=-1)[:, :, None] + np.zeros_like(points)
     wide = np.broadcast_to(width[:, :, None], points.shape[:3])

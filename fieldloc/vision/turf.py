@@ -129,11 +129,11 @@ def _dense(coloured: UInt8Array) -> Mask:
 def _tops(mask: Mask) -> FloatArray:
     """(w',) the upper edge of the stretch of each column with the greatest excess of turf; NaN without one."""
     height, width = mask.shape
-    from_below = np.cumsum(np.where(mask[::-1], np.int32(1), np.int32(-1)), axis=0, dtype=np.int32)
-    before = np.minimum.accumulate(np.concatenate([np.zeros((1, width), dtype=np.int32), from_below[:-1]]), axis=0)
-    excess = from_below - before
-    best = excess.argmax(axis=0)
-    heights = np.where(excess[best, np.arange(width)] >= min(_RUN, height), best + 1.0, 0.0)
+    from_below = np.cumsum(np.where(mask[::-1].T, np.int32(1), np.int32(-1)), axis=1, dtype=np.int32)
+    excess = from_below.copy()
+    excess[:, 1:] -= np.minimum.accumulate(np.minimum(from_below[:, :-1], 0), axis=1)
+    best = excess.argmax(axis=1)
+    heights = np.where(excess[np.arange(width), best] >= min(_RUN, height), best + 1.0, 0.0)
     # A post, a plant or a leg of the colour makes a peak of few columns, a field's corner does not.
     window = max(3, round(_NARROW * width))
     heights = cv2.morphologyEx(heights[None], cv2.MORPH_OPEN, np.ones((1, window), dtype=np.uint8))[0]
