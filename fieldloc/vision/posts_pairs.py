@@ -55,22 +55,25 @@ def pairs_of(begins: Edges, ends: Edges, band: Band, turf: Turf, width_px: int) 
     i, j = _beside(begins, ends, band, width_px)
     reaches = _reaching(begins, turf)[i] | _reaching(ends, turf)[j]
     i, j = i[reaches], j[reaches]
-    rows = np.stack(
-        [np.maximum(begins.rows[i, 0], ends.rows[j, 0]), np.minimum(begins.rows[i, 1], ends.rows[j, 1])], axis=1
-    )
-    shared = rows[:, 1] - rows[:, 0]
-    difference = ends.lines[j] - begins.lines[i]
-    width = difference[:, 0] + difference[:, 1] * rows.mean(axis=1)
-    lengths = np.stack([begins.rows[i, 1] - begins.rows[i, 0], ends.rows[j, 1] - ends.rows[j, 0]])
+    one, other = (_numbers(edges)[:, which] for edges, which in ((begins, i), (ends, j)))
+    offset, steeper = other[:2] - one[:2]
+    first, last = np.maximum(one[2], other[2]), np.minimum(one[3], other[3])
+    shared = np.maximum(last - first, 1.0)
+    width = offset + steeper * (0.5 * (first + last))
     fits = (width > _NARROWEST_PX) & (width < _WIDEST * width_px)
-    fits &= (shared >= _LEAST_ROWS_PX) & (shared >= _LEAST_OVERLAP * lengths.min(axis=0))
-    fits &= lengths.max(axis=0) > 2.0 * width
+    fits &= (shared >= _LEAST_ROWS_PX) & (shared >= _LEAST_OVERLAP * np.minimum(one[4], other[4]))
+    fits &= np.maximum(one[4], other[4]) > 2.0 * width
     # edges are parallel but for perspective and for what their own rows leave open
-    fits &= np.abs(difference[:, 1]) < _STEEPER + 2.0 / np.maximum(shared, 1.0)
-    fits[fits] = _among_slimmest(i[fits], (width / np.maximum(shared, 1.0))[fits])
-    i, j = i[fits], j[fits]
-    strips = Strips(begins.lines[i], ends.lines[j], rows[fits], width[fits], np.zeros(len(i)))
+    fits &= np.abs(steeper) < _STEEPER + 2.0 / shared
+    fits[fits] = _among_slimmest(i[fits], (width / shared)[fits])
+    i, j, rows = i[fits], j[fits], np.stack([first[fits], last[fits]], axis=1)
+    strips = Strips(begins.lines[i], ends.lines[j], rows, width[fits], np.zeros(len(i)))
     return _uniform(strips, band) if len(i) else strips
+
+
+def _numbers(edges: Edges) -> FloatArray:
+    """(5, n) intercept, slope, first and last row and length of edges."""
+    return np.concatenate([edges.lines.T, edges.rows.T, edges.rows[None, :, 1] - edges.rows[:, 0]])
 
 
 def _beside(begins: Edges, ends: Edges, band: Band, width_px: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -32,21 +32,21 @@ class Segments:
 
 def straight_pieces(chains: list[FloatArray], least_length_px: float) -> Segments:
     """The straight pieces of chains (m, 3: a point in the plane and the width along the scan line there)."""
-    straight, widths = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    straight: list[FloatArray] = []
+    slants = [np.zeros(0)]
     todo = [chain for chain in chains if len(chain) >= _FEWEST]
     while todo:  # those that bend in two, and again
         fits, long, off, slant = _bends(todo, least_length_px)
-        found = [chain for chain, fit in zip(todo, fits, strict=True) if fit]
-        straight += [chain[:, :2] for chain in found]
-        if found:
-            widths.append(_tapered([chain[:, 2] for chain in found]) * slant[fits, None])
+        straight += [chain for chain, fit in zip(todo, fits, strict=True) if fit]
+        slants.append(slant[fits])
         halves = []
         for n in np.flatnonzero(long & ~fits).tolist():
             chain = todo[n]
             split = min(max(int(np.abs(off[n]).argmax()), 1), len(chain) - 2)
             halves += [chain[: split + 1], chain[split:]]
         todo = [chain for chain in halves if len(chain) >= _FEWEST]
-    return Segments(_fitted(straight[1:]), np.concatenate(widths))
+    widths = _tapered([chain[:, 2] for chain in straight]) * np.concatenate(slants)[:, None]
+    return Segments(_fitted([chain[:, :2] for chain in straight]), widths)
 
 
 def _bends(chains: list[FloatArray], least_length_px: float) -> tuple[Mask, Mask, list[FloatArray], FloatArray]:
@@ -113,6 +113,8 @@ def _principal(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, Flo
 
 def _tapered(widths: list[FloatArray]) -> FloatArray:
     """(k, 2) the width at either end of each piece, from the medians of the halves of its widths (m,)."""
+    if not widths:
+        return np.zeros((0, 2))
     sizes = np.array([[len(width) // 2, len(width) - len(width) // 2] for width in widths]).ravel()
     half = np.arange(len(sizes)).repeat(sizes)
     table = np.concatenate(widths)
