@@ -101,7 +101,7 @@ def _ridges(
     thick = cv2.dilate(ridge.view(np.uint8), np.ones((3, 1), dtype=np.uint8))  # a row may be missing
     count, labels = cv2.connectedComponents(thick, connectivity=8, ltype=cv2.CV_16U)
     spots = np.flatnonzero(ridge)
-    label = np.asarray(labels).ravel()[spots]
+    label = np.asarray(labels).take(spots)
     v = spots // change.shape[1]
     first, last = np.zeros(count, dtype=np.intp), np.zeros(count, dtype=np.intp)
     last[label], first[label[::-1]] = v, v[::-1]  # rows ascend: what is written last stays

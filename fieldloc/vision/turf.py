@@ -123,7 +123,7 @@ def _dense(coloured: UInt8Array) -> Mask:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=4, ltype=cv2.CV_16U)
     large = stats[:, cv2.CC_STAT_AREA] >= _LEAST_PART * dense.size
     large[0] = False
-    return np.asarray(large[labels], dtype=np.bool_)
+    return np.asarray(large.take(np.asarray(labels, dtype=np.intp)), dtype=np.bool_)
 
 
 def _tops(mask: Mask) -> FloatArray:
