@@ -2,12 +2,13 @@
 
 import sys
 
-from benchmarks import ambiguity, bounds, engines, pareto, reading, robots, smoothing, vision, writing
+from benchmarks import ambiguity, bounds, engines, mixtures, pareto, reading, robots, smoothing, vision, writing
 
 BENCHMARKS = {
     "ambiguity": ambiguity,
     "bounds": bounds,
     "engines": engines,
+    "mixtures": mixtures,
     "pareto": pareto,
     "reading": reading,
     "robots": robots,

@@ -44,13 +44,10 @@ def log_peaks(covariances: FloatArray) -> FloatArray:
 
 
 def inverse_and_log_determinant(covariance: FloatArray) -> tuple[FloatArray, float]:
-    """Of one positive definite matrix (m, m): numpy's own take several times as long for a single small one.
-
-    ValueError where it is not positive definite.
-    """
+    """Of one positive definite matrix (m, m): numpy's own take several times as long for a single small one."""
     root, inverse, failed = dposv(covariance, np.eye(len(covariance)))
-    if failed:
-        raise ValueError("a covariance is not positive definite")
+    if failed:  # by rounding
+        return np.asarray(np.linalg.inv(covariance), dtype=np.float64), float(np.linalg.slogdet(covariance)[1])
     return inverse, 2.0 * float(np.log(root.diagonal()).sum())
 
 
@@ -61,6 +58,15 @@ def chi_square_bounds(most: int, sigmas: float) -> FloatArray:
     degrees = np.arange(1, most + 1)
     spread = 2.0 / (9.0 * degrees)
     return np.append(np.inf, degrees * (1.0 - spread + sigmas * np.sqrt(spread)) ** 3)
+
+
+def cholesky_factors(matrices: FloatArray) -> FloatArray:
+    """Lower triangles (k, m, m); of what rounding made indefinite as of a millionth of a millionth more."""
+    try:
+        return np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        more = 1e-12 * matrices.diagonal(axis1=1, axis2=2)[..., None] * np.eye(matrices.shape[-1])
+        return np.asarray(np.linalg.cholesky(matrices + more), dtype=np.float64)
 
 
 def inverse_of_lower(root: FloatArray) -> FloatArray:

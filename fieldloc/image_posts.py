@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.camera import Camera
-from fieldloc.covariance import inverse_of_lower
+from fieldloc.covariance import cholesky_factors, inverse_of_lower
 from fieldloc.detection import Detection
 from fieldloc.field import FieldMap
 from fieldloc.image_map import image_map
@@ -144,15 +144,19 @@ def _weighed(
     mask = numbers.seen
     # what was not seen is noise of one, and then has no say
     covariance = numbers.covariance + (~mask)[:, :, None] * np.eye(NUMBERS)
-    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    log_norm = np.log(whitening.diagonal(axis1=1, axis2=2)).sum(axis=1) - _HALF_LOG_2PI * mask.sum(axis=1)
-    whitening *= mask[:, None] & mask[:, :, None]
+    noise = np.linalg.cholesky(covariance)
+    count = mask.sum(axis=1)
+    log_norm = -np.log(noise.diagonal(axis1=1, axis2=2)).sum(axis=1) - _HALF_LOG_2PI * count
     by_edges, by_foot = mask[:, 2], mask[:, 0]
     log_clutter = -_log_width(camera) - _LOG_ANYWHERE - (by_edges & by_foot) * _LOG_ONE_THING
-    by_mount = -whitening @ numbers.by_mount @ root
     log_norm -= log_clutter + log(detection.false_post) - log1p(-detection.false_post) - log(detection.post)
-    both = whitening @ _BOTH
-    fused, fused_covariance, white_offset, log_rest, misfit = _fused(numbers.values, whitening, both, by_mount, by_foot)
+    first = np.where(by_foot[:, None], numbers.values[:, :2], numbers.values[:, 2:])
+    offset = (numbers.values - np.concatenate([first, first], axis=1)) * mask
+    offset[:, ::2] = wrap(offset[:, ::2])
+    # as the mount's whitened errors and a post's own numbers move them, and what they are off the first ones
+    model = np.concatenate([-numbers.by_mount @ root, mask[..., None] * _BOTH, offset[..., None]], axis=-1)
+    model = np.linalg.solve(noise, model)
+    step, fused_covariance, log_rest, misfit = _fused(model)
     # what has a foot and edges that do not agree is none of the map's
     allowed = np.empty((len(mask), len(field.landmarks)), dtype=np.bool_)
     allowed[:] = misfit[:, None] < _MOST_MISFIT
@@ -161,39 +165,32 @@ def _weighed(
             allowed[row] &= np.arange(len(field.landmarks)) == index
     return PostsSeen(
         below_camera=(mount.x_m, mount.y_m),
-        whitening_both=both,
-        white_offset=white_offset,
-        whitened_by_mount=by_mount,
+        whitening_both=model[..., 4:6],
+        white_offset=(model[..., 4:6] @ step[..., None])[..., 0] - model[..., 6],
+        whitened_by_mount=model[..., :4],
         log_norm=log_norm,
         log_clutter=np.asarray(log_clutter),
         allowed=allowed,
-        fused=fused,
+        fused=first + step,
         fused_covariance=fused_covariance,
         log_fused=log_norm + log_rest,
-        numbers=mask.sum(axis=1),
+        numbers=count,
         labelled=any(index is not None for index in indices),
     )
 
 
-def _fused(
-    values: FloatArray, whitening: FloatArray, both: FloatArray, by_mount: FloatArray, by_foot: NDArray[np.bool_]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Least squares (p, 2) of each post's own numbers under pixel noise and the mount's errors, covariance (p, 2, 2),
-    the whitened error (p, 4) that they leave, the log of what is left of the density (p,) but for the noise's own at
-    zero, and chi-square (p,) of two degrees."""
-    first = np.where(by_foot[:, None], values[:, :2], values[:, 2:])
-    offset = values - np.concatenate([first, first], axis=1)
-    offset[:, ::2] = wrap(offset[:, ::2])
-    # the factor of mount, own numbers and error, in this order, has in it what is left when those before are eliminated
-    model = np.concatenate([by_mount, both, whitening @ offset[..., None]], axis=-1)
-    root = np.linalg.cholesky(model.swapaxes(1, 2) @ model + _KNOWN)
+def _fused(model: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Least squares (p, 2) of each post's own numbers under pixel noise and the mount's errors, from the whitened
+    model (p, 4, 7) of mount, own numbers and error; covariance (p, 2, 2), the log of what is left of the density (p,)
+    but for the noise's own at zero, and chi-square (p,) of two degrees."""
+    # the factor, in this order, has in it what is left when those before are eliminated
+    root = cholesky_factors(model.swapaxes(1, 2) @ model + _KNOWN)
     by_own = inverse_of_lower(root[:, 4:6, 4:6])
-    step = root[:, 6:, 4:6] @ by_own
+    step = (root[:, 6:, 4:6] @ by_own)[:, 0]
     diagonal = root.diagonal(axis1=1, axis2=2)
     misfit = diagonal[:, 6] ** 2 - 1.0
     log_rest = log(2.0 * pi) - np.log(diagonal[:, :6]).sum(axis=1) - 0.5 * misfit
-    white_offset = (both @ step.swapaxes(1, 2))[..., 0] - model[..., 6]
-    return first + step[:, 0], by_own.swapaxes(1, 2) @ by_own, white_offset, log_rest, misfit
+    return step, by_own.swapaxes(1, 2) @ by_own, log_rest, misfit
 
 
 @lru_cache(maxsize=16)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc import pose as se2
-from fieldloc.covariance import chi_square_bounds, inverse_of_lower
+from fieldloc.covariance import chi_square_bounds, cholesky_factors, inverse_of_lower
 from fieldloc.image_anchors import Anchors
 from fieldloc.image_map import ImageMap
 from fieldloc.image_post_numbers import NUMBERS
@@ -132,7 +132,7 @@ def solve(
             surveyed = field.surveyed[readings.matched]
             log_survey = _add_survey(whole[:, _ROWS:].reshape(by_posts.shape), surveyed, poses)
         # the factor of mount, pose and error, in this order, has in it what is left when those before are eliminated
-        root = _root(np.ascontiguousarray(whole.swapaxes(1, 2)) @ whole + _WEAK)
+        root = cholesky_factors(np.ascontiguousarray(whole.swapaxes(1, 2)) @ whole + _WEAK)
         by_pose = inverse_of_lower(root[:, 4:7, 4:7])
         poses = _moved(poses, (root[:, 7:, 4:7] @ by_pose)[:, 0])
     covariances = by_pose.swapaxes(1, 2) @ by_pose
@@ -147,15 +147,6 @@ def solve(
         possible &= _long_enough(poses, covariances, free, anchors.along_m[rows])
     log_integrals = np.where(possible, log_norm + log_survey + log_volume - 0.5 * misfit, -np.inf)
     return Solved(Readings(rows, readings.matched, poses), covariances, log_integrals)
-
-
-def _root(squares: FloatArray) -> FloatArray:
-    """Cholesky's factors of (k, 8, 8), a millionth of a millionth apart from singular."""
-    try:
-        return np.asarray(np.linalg.cholesky(squares), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        scale = squares.diagonal(axis1=1, axis2=2)[..., None]
-        return np.asarray(np.linalg.cholesky(squares + 1e-12 * scale * np.eye(8)), dtype=np.float64)
 
 
 def _linearise_anchors(model: FloatArray, whitening: FloatArray, at: FloatArray, poses: FloatArray) -> None:

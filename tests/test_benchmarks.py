@@ -23,6 +23,7 @@ from logs.trajectory import Trajectory
     [
         ("reading", ["--duration", "3", "--repeats", "1"], ["/odometry", "/image_features", "/truth", "mcap us"]),
         ("writing", ["--messages", "50", "--repeats", "1"], ["LogWriter.write_raw", "mcap.writer.Writer"]),
+        ("mixtures", ["--count", "2", "--repeats", "1"], ["image", "scan", "asked", "100 products"]),
         ("vision", ["--what", "views", "--count", "2", "--fields", "spl"], ["telling", "ANEES", "posts recall"]),
     ],
 )

@@ -3,8 +3,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.special import chdtri, ndtr
 
-from fieldloc.covariance import central_difference, check_covariance, propagate, squared_mahalanobis
+from fieldloc.covariance import (
+    central_difference,
+    check_covariance,
+    chi_square_bounds,
+    cholesky_factors,
+    inverse_and_log_determinant,
+    inverse_of_lower,
+    propagate,
+    squared_mahalanobis,
+)
 from fieldloc.pose import FloatArray
 
 GOOD = np.array([[2.0, 0.5], [0.5, 1.0]])
@@ -59,3 +69,35 @@ def test_propagation_is_the_covariance_of_a_linear_function() -> None:
 def test_central_differences_are_exact_for_a_quadratic(x: FloatArray) -> None:
     jacobian = central_difference(lambda v: np.array([v[0] * v[1], v[0] ** 2, 3.0 * v[1]]), x, 1e-3)
     np.testing.assert_allclose(jacobian, [[x[1], x[0]], [2 * x[0], 0.0], [0.0, 3.0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 7])
+def test_an_inverse_and_a_determinant_are_those_of_the_textbook(size: int) -> None:
+    half = np.random.default_rng(size).normal(size=(size, size))
+    matrix = half @ half.T + 0.1 * np.eye(size)
+    inverse, log_det = inverse_and_log_determinant(matrix)
+    np.testing.assert_allclose(inverse @ matrix, np.eye(size), atol=1e-10)
+    assert log_det == pytest.approx(np.linalg.slogdet(matrix)[1], abs=1e-10)
+    root = cholesky_factors(np.stack([matrix, np.eye(size)]))
+    np.testing.assert_allclose(inverse_of_lower(root) @ root, np.tile(np.eye(size), (2, 1, 1)), atol=1e-12)
+
+
+def test_what_rounding_made_indefinite_is_inverted_all_the_same() -> None:
+    line = np.array([1.0, 1e3, 1.0])
+    barely = np.outer(line, line) - 1e-13 * np.eye(3)
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(barely)
+    root = cholesky_factors(barely[None])
+    np.testing.assert_allclose(root @ root.swapaxes(1, 2), barely[None], rtol=1e-11, atol=1e-11)
+    inverse, log_det = inverse_and_log_determinant(-np.eye(2))
+    np.testing.assert_array_equal(inverse, -np.eye(2))
+    assert log_det == 0.0
+
+
+def test_a_chi_square_is_bounded_as_a_normal_variable_is() -> None:
+    bounds = chi_square_bounds(30, 3.0)
+    degrees = np.arange(1, 31)
+    # a cube root of chi-square is nearly normal: at three sigmas within 3 %, from ten degrees on within half a percent
+    np.testing.assert_allclose(bounds[1:], chdtri(degrees, ndtr(-3.0)), rtol=0.03)
+    np.testing.assert_allclose(bounds[10:], chdtri(degrees[9:], ndtr(-3.0)), rtol=0.0055)
+    assert bounds[0] == np.inf

@@ -23,7 +23,7 @@ from line_views import (
 from fieldloc.field import FieldMap
 from fieldloc.fixes.line_estimate import log_ends_fit, solve
 from fieldloc.fixes.line_map import line_grid, turned_grid
-from fieldloc.fixes.line_matching import Matches
+from fieldloc.fixes.line_matching import LineMatcher, Matches
 from fieldloc.fixes.line_solutions import line_constraints, line_readings, line_solutions, unexplained_of
 from fieldloc.fixes.lines import GroundLines, lines_on_the_ground
 from fieldloc.ground import project_points
@@ -167,6 +167,25 @@ def test_a_line_that_is_not_on_the_map_is_left_unexplained() -> None:
     assert not len(nothing_false.poses) or gaps(nothing_false.poses, POSE).min() > 0.01
     more = line_solutions(lines, SPL, DETECTION, 3, most=ALL)
     assert all(found_at(more, pose, 1e-9) for pose in found.poses)
+
+
+def test_choices_are_the_same_all_at_once_and_line_by_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = with_false_line(POSE)
+    at_once = line_solutions(lines, SPL, DETECTION, 5, most=ALL)
+    monkeypatch.setattr(LineMatcher, "_choices", LineMatcher._likely_choices)
+    by_line = line_solutions(lines, SPL, DETECTION, 5, most=ALL)
+    assert len(at_once.poses) > 20
+    np.testing.assert_array_equal(at_once.matches, by_line.matches)
+    np.testing.assert_array_equal(at_once.log_weights, by_line.log_weights)
+
+
+def test_of_too_many_choices_the_likely_ones_are_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = with_false_line(POSE)
+    every = line_solutions(lines, SPL, DETECTION, 5, most=ALL)
+    monkeypatch.setattr("fieldloc.fixes.line_matching._MOST", 40)
+    found = line_solutions(lines, SPL, DETECTION, 5, most=ALL)
+    assert 0 < len(found.poses) < len(every.poses)
+    np.testing.assert_allclose(found.log_weights[0], every.log_weights[0], atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))

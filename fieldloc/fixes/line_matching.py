@@ -69,7 +69,8 @@ class LineMatcher:
         inwards = lines.extents_m + (slack + tolerance_m) * np.array([1.0, -1.0])
         self._middle = grid.middles_m[:, families] - 0.5 * (inwards[:, :1] + inwards[:, 1:])
         half = grid.halves_m[:, families] - 0.5 * (inwards[:, 1:] - inwards[:, :1])
-        self._half = np.where(half >= 0.0, half, -1e9)
+        long_enough = half >= 0.0
+        self._half = np.where(long_enough, half, -1e9)
 
         self._count = np.bincount(families, minlength=2)
         alike = families[:, None] == families
@@ -77,7 +78,7 @@ class LineMatcher:
         first = (alike & (variance < variance[:, None])).sum(axis=1) <= unexplained
         # family 0 says where the robot is in y, family 1 in x
         across, margin = 1 - families, AROUND_M + reach
-        possible = (half >= 0.0) & first[:, None]
+        possible = long_enough & first[:, None]
         possible &= self._position > (grid.low_m[:, across] - margin)[..., None]
         possible &= self._position < (grid.high_m[:, across] + margin)[..., None]
         turn, line, column = possible.nonzero()
@@ -143,10 +144,9 @@ class LineMatcher:
         parent, columns = self._choices(fits, options)
         columns[columns == fits.shape[2]] = -1
         turn = turn[parent]
-        left_out = columns < 0
-        good = left_out.sum(axis=1) <= self._unexplained
-        for family in explained:
-            good &= ~left_out[:, self._families == family].all(axis=1)
+        used = (columns >= 0).astype(np.float64) @ (self._families[:, None] == (0, 1))
+        good = used.sum(axis=1) >= count - self._unexplained
+        good &= (used[:, explained] > 0.0).all(axis=1)
         turn, columns = turn[good], columns[good]
         weights = weights_of(1 + count)
         rows, _ = distinct(columns @ weights[1:] + turn * weights[0])
