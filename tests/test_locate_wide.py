@@ -71,6 +71,18 @@ def test_two_lines_and_a_wrong_attitude_have_the_truth_among_their_pieces() -> N
     assert near >= 3
 
 
+def test_a_net_that_is_thinner_than_any_line_of_the_field_is_no_line() -> None:
+    seen = Scene(NAO, FIELD, np.random.default_rng(4)).seen(GOAL, posts=False)
+    behind = Look(np.array([2.2, 0.3, -0.1]), GOAL.height_m, GOAL.pitch_rad, GOAL.roll_rad)
+    # the lines of a place nearby, all as thin as cords, stand for what of a net lies on the ground, along the grid
+    cords = Scene(NAO, FIELD, np.random.default_rng(5)).seen(behind, circles=False, posts=False).lines
+    net = tuple(replace(one, width_px=np.full(2, 2.0), width_sigma_px=np.full(2, 0.3)) for one in cords)
+    located = locate(replace(seen, lines=seen.lines + net), NAO, FIELD, told(GOAL))
+    x, y, _ = errors(located, GOAL)[0]
+    assert np.hypot(x, y) < 0.05
+    assert 2.0 * located.hypotheses[0].probability > 0.99  # were they lines, it would be 0.7
+
+
 def test_a_height_far_off_its_prior_spoils_nothing() -> None:
     detections = Scene(NAO, FIELD, np.random.default_rng(3)).seen(GOAL, posts=False)
     for height_m in (-0.08, 0.08):  # two and a half standard deviations, a sixth of all distances

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc.fixes.two_posts import poses_from_two_posts
+from fieldloc.locate.cameras import not_zero
 from fieldloc.locate.heights import circle_on_ground, heights, post_ranges
 from fieldloc.locate.prior import CameraPrior
 from fieldloc.locate.shape import Shape
 from fieldloc.locate.sight import Sight
 from fieldloc.locate.states import cross, rotations
+from fieldloc.locate.widths import widths_fit
 from fieldloc.pose import FloatArray, rotation, wrap
 
 _MOST, _LEAST, _ALL_LINES = 480, 64, 4800  # candidates: the fewer lines there are, the less do votes tell
@@ -26,6 +28,7 @@ _MOST_POSTS = 4  # the largest
 _STEP_M = 0.05  # of the coordinates that are voted for
 _OFF, _OFF_M = 0.06, 0.1  # how far off a distance on the ground may be while height and attitude are rough
 _AROUND_M = 0.5
+_WIDEN_PX = 10.0  # how far off what is seen may be for the same reason
 _ASKEW = np.sin(np.radians(12.0))
 _SAME_M = 0.25
 _NEAREST_M, _FARTHEST_M = 0.3, 15.0  # of a post of which only the bearing is used
@@ -37,8 +40,9 @@ _CIRCLE_M, _CIRCLE_LARGE = 0.3, 0.05  # how far off its place is, and its size
 class Ground:
     """What is seen, on the ground below each of g cameras, in axes turned against the grid by a quarter turn or none.
 
-    families: (g, l) 0 along x, 1 along y, -1 of neither. offsets: (g, l) the other coordinate, metres. weights: (l,).
-    posts: (g, p, 2) places, which may be far off along their direction. circle: (g, 3) with its radius, NaN for none.
+    families: (g, l) 0 along x, 1 along y, -1 of neither. offsets: (g, l) the other coordinate, metres. weights: (g, l),
+    less of lines that are too thin or too wide. posts: (g, p, 2) places, which may be far off along their direction.
+    circle: (g, 3) with its radius, NaN for none.
     """
 
     families: NDArray[np.intp]
@@ -105,7 +109,15 @@ def _ground(sight: Sight, shape: Shape, uprights: FloatArray) -> Ground:
     far = np.where(standing, reach, post_ranges(sight, shape)[largest])
     circles = [circle_on_ground(sight, one) for one in turned]
     circle = np.array([[np.nan] * 3 if one is None else one for one in circles])
-    weights = np.minimum(sight.line_lengths / 60.0, 1.0)
+    rays, across = (
+        (part.reshape(-1, 3) @ transposed).reshape(len(uprights), -1, 2, 3)
+        for part in (sight.line_rays, sight.line_across)
+    )
+    # the plane through a camera so high and a line on the ground
+    planes = height[..., None] * normals / level[..., None]
+    px_per_m = np.abs(rays[..., 2] / not_zero((across * planes[:, :, None]).sum(axis=-1)))
+    fit = widths_fit(sight, px_per_m, shape.line_width_m, _WIDEN_PX)
+    weights = np.minimum(sight.line_lengths / 60.0, 1.0) * np.exp(np.minimum(fit, 0.0))
     return Ground(families, offsets, weights, bearing * far[..., None], height * circle)
 
 

@@ -15,15 +15,14 @@ from fieldloc.locate.circle_errors import circle_errors
 from fieldloc.locate.line_errors import Lines
 from fieldloc.locate.noise import Noise
 from fieldloc.locate.post_errors import post_errors
+from fieldloc.locate.widths import widths_fit
 from fieldloc.pose import FloatArray
 
 ARC = -2  # the match of a line that is a piece of a circle: explained, but of no use
 _LOG_2PI = math.log(2.0 * math.pi)
 _NEAR_PX = 40.0  # what is farther off is not that line, however bad the map
 _OVER_M, _OVER_PX = 0.08, 4.0  # by how much an end is found beyond the line's
-_WIDTH_PX, _WIDTH = 1.0, 0.2  # how far off a line's width may be: blur, and lines laid by hand
 _ARC_PX = 3.0  # by how much a straight piece of a circle's line is off it
-_LOG_WIDTH = -float(np.log(30.0))  # any width up to this
 _LOG_POST = -float(np.log(640.0 * 60.0 * 20.0 * 20.0))  # place, width, and the lean of either edge
 _LOG_FOOT = -float(np.log(480.0 * 10.0))
 CIRCLE_NUMBERS = 5.0  # of an ellipse: so many points of it say something of their own
@@ -118,7 +117,7 @@ def _match_lines(cameras: Cameras, noise: Noise) -> tuple[IntArray, FloatArray]:
     rows, columns = np.arange(count)[:, None], np.arange(lines)
     gains = gain[rows, columns, best] + (log_odds - log_clutter)
     px_per_m = np.abs(seen.down / seen.slope[rows, columns, :, best])
-    gains = gains + _widths_fit(noise, px_per_m)
+    gains = gains + widths_fit(sight, px_per_m, shape.line_width_m, noise.widen_px)
     best, gains = np.where(gains > 0.0, best, -1), np.maximum(gains, 0.0)
     arc = _arcs_fit(noise, ground, m_per_px) + (log_odds - log_clutter)
     is_arc = before & (arc > gains)
@@ -139,27 +138,6 @@ def _arcs_fit(noise: Noise, ground: FloatArray, m_per_px: FloatArray) -> FloatAr
         off = (np.hypot(ground[..., 0] - x, ground[..., 1] - y) - radius) / sigma
         log_density = log_norm - 0.5 * (off * off).sum(axis=2)
         out = np.maximum(out, np.where(chord2 < radius * radius, log_density, -np.inf))
-    return out
-
-
-def _widths_fit(noise: Noise, px_per_m: FloatArray) -> FloatArray:
-    """(k, l) log density of the widths at both ends where the map has so many pixels per metre (k, l, 2), less that of
-    any width; zero where they are not known."""
-    sight = noise.sight
-    known = np.isfinite(sight.widths)
-    out = np.zeros(px_per_m.shape[:2])
-    rows = np.flatnonzero(known.any(axis=1))
-    if not len(rows):
-        return out
-    known = known[rows]
-    seen, sigma = np.where(known, sight.widths[rows], 0.0), np.where(known, sight.width_sigmas[rows], 1.0)
-    expected = np.minimum(px_per_m[:, rows] * noise.shape.line_width_m, 1e3)
-    variance = sigma**2 + _WIDTH_PX**2 + (_WIDTH * expected) ** 2
-    off = seen - expected
-    fit = -0.5 * (off * off / variance + np.log(variance) + _LOG_2PI) - _LOG_WIDTH
-    # both ends' widths are one and the same error: their mean says it
-    share = known / known.sum(axis=1, keepdims=True)
-    out[:, rows] = (fit * share).sum(axis=2)
     return out
 
 
