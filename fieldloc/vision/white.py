@@ -20,7 +20,7 @@ Single = NDArray[np.float32]
 SCAN_STEP_PX = 4  # from one scan line to the next, of which all pixels are averaged
 SCAN_GAP = 8  # numbers between the last scan line down the picture and the first across it
 
-_SIGMAS = 2.5  # above the turf's own texture
+_SIGMAS = 2.25  # above the turf's own texture
 _WIDE_SHARE, _NEAR_SHARE = 10, 32  # windows for the turf around a pixel are such a part of the picture's width
 _LEAST_SHARE = 0.25  # of the near window in turf, for it to count
 _CLIP = 1.5  # what is farther from the mean than so many standard deviations is no turf
