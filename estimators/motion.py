@@ -8,6 +8,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from estimators.config import MotionNoise
+from estimators.one_pose import after, arc, composed, spread
 from estimators.recent import Recent
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
@@ -18,11 +19,9 @@ PARTS = 3
 """Of the noise: along the way, of its heading by how far it turns, of its heading by how far it goes."""
 # how much of a motion is left at Gauss's two points: exact up to cubic, so straight ahead
 GAUSS_POINTS = (0.5 + 0.5 / 3**0.5, 0.5 - 0.5 / 3**0.5)
-_SMALL_ANGLE_RAD = 1e-4
 Number = TypeVar("Number", float, FloatArray)
 _NO_PARTS = np.zeros((PARTS, 3, 3))
 _AS_SAID = np.ones(PARTS)
-_OF_WHAT = np.array([0, 0, 1, 2])  # part that each of MotionNoise.density belongs to
 
 
 class OdometryCalibration(NamedTuple):
@@ -89,9 +88,9 @@ class Increment:
     parts: FloatArray = field(default_factory=_NO_PARTS.copy)
 
     def then(self, other: "Increment") -> "Increment":
-        back = _after(other.before_from_after)
+        back = after(other.before_from_after)
         return Increment(
-            _composed(self.before_from_after, other.before_from_after),
+            composed(self.before_from_after, other.before_from_after),
             back @ self.covariance @ back.T + other.covariance,
             back @ self.by_calibration + other.by_calibration,
             back @ self.parts @ back.T + other.parts,
@@ -99,18 +98,18 @@ class Increment:
 
     def calibrated(self, calibration: FloatArray) -> "Increment":
         """The motion of an odometry with that calibration (c,), of which this is the uncalibrated one."""
-        moved = np.array(_arc(*(self.by_calibration @ calibration).tolist()))
-        return Increment(_composed(self.before_from_after, moved), self.covariance, self.by_calibration, self.parts)
+        moved = np.array(arc(*(self.by_calibration @ calibration).tolist()))
+        return Increment(composed(self.before_from_after, moved), self.covariance, self.by_calibration, self.parts)
 
     @property
     def back(self) -> FloatArray:
         """(3, 3) the robot-frame tangent after the motion with that before it."""
-        return _after(self.before_from_after)
+        return after(self.before_from_after)
 
     @staticmethod
     def carry(covariance: FloatArray, before_from_after: FloatArray) -> FloatArray:
         """A robot-frame covariance (3, 3) before a motion, as one after it."""
-        back = _after(before_from_after)
+        back = after(before_from_after)
         return np.asarray(back @ covariance @ back.T)
 
 
@@ -191,20 +190,14 @@ class HeldVelocity:
         velocity, stated = self._odometry.velocity, self._odometry.covariance
         tangent = velocity * duration_s
         forward, left, turn = tangent.tolist()
-        spread = _spread(forward, left, turn)
+        by_rate = spread(forward, left, turn)
         if stated is None:
-            # white along the way: each part of it is carried to the end
-            density = np.array(noise_density(self._noise, *map(abs, velocity.tolist()))) * self.scales[_OF_WHAT]
-            parts = np.zeros((PARTS, 3, 3))
-            for point in GAUSS_POINTS:
-                to_end = _after(np.array(_arc(point * forward, point * left, point * turn)))
-                parts[0] += (to_end[:, :2] * density[:2]) @ to_end[:, :2].T
-                parts[1:] += density[2:, None, None] * (to_end[:, 2:] * to_end[:, 2])
-            parts *= 0.5 * duration_s
+            density = noise_density(self._noise, *map(abs, velocity.tolist()))
+            parts = _noise(density, forward, left, turn) * (duration_s * self.scales)[:, None, None]
             covariance = parts.sum(axis=0)
         else:
             # one error for all of a message: over a part of its period it counts in proportion
-            covariance = spread @ stated @ spread.T * ((self._period_s or duration_s) * duration_s)
+            covariance = by_rate @ stated @ by_rate.T * ((self._period_s or duration_s) * duration_s)
             parts = _NO_PARTS
         turning = abs(float(velocity[2]))
         by_calibration = np.array(
@@ -214,55 +207,36 @@ class HeldVelocity:
                 [0.0, turn, forward, 0.0, 0.0, duration_s, 0.0],
             ]
         )
-        return Increment(np.array(_arc(forward, left, turn)), covariance, spread @ by_calibration, parts)
+        return Increment(np.array(arc(forward, left, turn)), covariance, by_rate @ by_calibration, parts)
 
     def _silent(self, duration_s: float) -> Increment:
         position, heading = self._noise.silent_m_per_sqrt_s**2, self._noise.silent_rad_per_sqrt_s**2
         return Increment(np.zeros(3), np.diag([position, position, heading]) * duration_s, np.zeros((3, CALIBRATION)))
 
 
+def _noise(density: tuple[float, ...], forward: float, left: float, turn: float) -> FloatArray:
+    """(PARTS, 3, 3) of a second with that motion, of noise that is white along the way: each bit is carried to the end.
+
+    density: as of noise_density.
+    """
+    ahead, aside, by_turn, by_way = (0.5 * each for each in density)
+    m00 = m01 = m11 = t00 = t01 = t11 = t02 = t12 = 0.0
+    for point in GAUSS_POINTS:
+        x, y, heading = arc(point * forward, point * left, point * turn)
+        c, s = math.cos(heading), math.sin(heading)
+        m00 += ahead * c * c + aside * s * s
+        m01 += (aside - ahead) * c * s
+        m11 += ahead * s * s + aside * c * c
+        along, across = s * x - c * y, c * x + s * y  # how a turn before the rest of the way moves its end
+        t00, t01, t11 = t00 + along * along, t01 + along * across, t11 + across * across
+        t02, t12 = t02 + along, t12 + across
+    points = len(GAUSS_POINTS)
+    turned = np.array([t00, t01, t02, t01, t11, t12, t02, t12, points]).reshape(3, 3)
+    moved = np.array([m00, m01, 0.0, m01, m11, 0.0, 0.0, 0.0, 0.0]).reshape(3, 3)
+    return np.array([moved, by_turn * turned, by_way * turned])
+
+
 def _joined(one: Increment | None, other: Increment | None) -> Increment | None:
     if one is None or other is None:
         return other if one is None else one
     return one.then(other)
-
-
-# One motion a hundred times a second: what fieldloc.pose does for stacks, for one without their overhead.
-
-
-def _arc(forward: float, left: float, turn: float) -> tuple[float, float, float]:
-    """As se2.exp."""
-    if abs(turn) < _SMALL_ANGLE_RAD:
-        a, b = 1.0 - turn * turn / 6.0, 0.5 * turn
-    else:
-        a, b = math.sin(turn) / turn, 2.0 * math.sin(0.5 * turn) ** 2 / turn
-    return a * forward - b * left, b * forward + a * left, _wrapped(turn)
-
-
-def _spread(forward: float, left: float, turn: float) -> FloatArray:
-    """As se2.right_jacobian."""
-    if abs(turn) < _SMALL_ANGLE_RAD:
-        a, b, p, q = 1.0 - turn * turn / 6.0, 0.5 * turn, turn / 6.0, 0.5
-    else:
-        a, b = math.sin(turn) / turn, 2.0 * math.sin(0.5 * turn) ** 2 / turn
-        p, q = (1.0 - a) / turn, b / turn
-    return np.array([[a, b, p * forward - q * left], [-b, a, q * forward + p * left], [0.0, 0.0, 1.0]])
-
-
-def _composed(one: FloatArray, other: FloatArray) -> FloatArray:
-    """As se2.compose."""
-    x, y, heading = one.tolist()
-    forward, left, turn = other.tolist()
-    c, s = math.cos(heading), math.sin(heading)
-    return np.array([x + c * forward - s * left, y + s * forward + c * left, _wrapped(heading + turn)])
-
-
-def _after(motion: FloatArray) -> FloatArray:
-    """The adjoint of its inverse (3, 3): a robot-frame tangent before it, as one after it."""
-    x, y, heading = motion.tolist()
-    c, s = math.cos(heading), math.sin(heading)
-    return np.array([[c, s, s * x - c * y], [-s, c, c * x + s * y], [0.0, 0.0, 1.0]])
-
-
-def _wrapped(angle_rad: float) -> float:
-    return (angle_rad + math.pi) % math.tau - math.pi

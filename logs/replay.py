@@ -163,6 +163,10 @@ class Run:
             config.scan_noise,
             config.scan_distortion,
         )
+        # asked once: asking what an object can do costs more than most of what it does
+        self._several = estimator if isinstance(estimator, MixtureEstimator) else None
+        self._seeing = estimator if isinstance(estimator, Seeing) else None
+        self._guessing = estimator if isinstance(estimator, Guessing) else None
         self._unusable: list[str] = []
 
     def steps(self) -> Iterator[Step]:
@@ -171,8 +175,8 @@ class Run:
         looks_back = isinstance(estimator, Smoother)
         first_ns = self.recording.measurements[0].stamp_ns
         with self._failing(first_ns):
-            if isinstance(estimator, MixtureEstimator):
-                estimator.start_in(self._region, first_ns)
+            if self._several is not None:
+                self._several.start_in(self._region, first_ns)
             if self._told is not None:
                 estimator.start(Estimate(first_ns, self._told, _START_COVARIANCE))
         for measurement in self.recording.measurements:
@@ -197,15 +201,15 @@ class Run:
         try:
             if (mixture := self._builder.build(measurement)) is None:
                 return
-            if not isinstance(estimator, MixtureEstimator):
+            if self._several is None:
                 factors = sure(mixture, _belief(self._where(mixture)), self._region.log_density)
         except _FAILURES as error:  # numbers beyond all arithmetic
             kind = type(measurement).__name__
             at = seconds(measurement.stamp_ns)
             self._unusable.append(f"{kind} at {at} cannot be computed with: {_first_line(error)}")
             return
-        if isinstance(estimator, MixtureEstimator):
-            estimator.observe(mixture)
+        if self._several is not None:
+            self._several.observe(mixture)
         for factor in factors:
             estimator.update(factor)
         now = self._where(mixture)
@@ -213,10 +217,10 @@ class Run:
 
     def _where(self, mixture: MixtureFactor) -> Estimate | None:
         """What the estimator thinks of the pose that the mixture is about."""
-        if mixture.by_sight and isinstance(self.estimator, Seeing):
-            return self.estimator.seen_from()
-        if isinstance(self.estimator, Guessing):
-            return self.estimator.likeliest()
+        if mixture.by_sight and self._seeing is not None:
+            return self._seeing.seen_from()
+        if self._guessing is not None:
+            return self._guessing.likeliest()
         return self.estimator.estimate()
 
     def trajectory(self) -> tuple[Estimate, ...] | None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimators.motion import CALIBRATION, Increment
+from estimators.one_pose import composed, retracted
 from estimators.views import EXTRA, OFFSET, SIZE, View
 from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray
@@ -105,7 +106,8 @@ class Bank:
         step[:, :3] = motion.back
         step[:, 3 : 3 + CALIBRATION] += motion.by_calibration
         moved = step @ self.covariances[row] @ step.T + motion.covariance + view.chance
-        return view.of(se2.compose(self.poses[row], motion.before_from_after), self.extra[row]), moved
+        pose = composed(self.poses[row], motion.before_from_after)
+        return retracted(pose, view.beside(self.extra[row])), moved
 
     def seen(self, view: View) -> "Bank":
         """With the poses and their covariances as the view has them."""

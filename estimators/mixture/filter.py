@@ -27,8 +27,8 @@ from estimators.mixture.split import Children, met, total
 from estimators.mixture.watch import Watch
 from estimators.modes import ModeSequence
 from estimators.motion import CALIBRATION, STANDSTILL, HeldVelocity
+from estimators.one_pose import turned
 from estimators.views import LATE, View, Views, of_factor, prior
-from fieldloc import pose as se2
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.heading_mixture import HeadingMixture
 from fieldloc.measurements import Odometry
@@ -181,7 +181,7 @@ class MixtureFilter:
             return Estimate(self._now_ns, pose, report.covariance_about(pose, bank, self._sides))
         pose, covariance = self._bank.moved_one(row, self._pending, view)
         pose = self._sides.of_one(copy, pose)
-        return Estimate(self._now_ns, pose, se2.rotate_covariance(covariance, pose[2]))
+        return Estimate(self._now_ns, pose, turned(covariance, float(pose[2])))
 
     def ambiguity(self) -> Ambiguity | None:
         if not len(self._bank):
