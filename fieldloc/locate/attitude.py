@@ -28,6 +28,7 @@ _LOOSEST = 4.0  # times; the starts at the prior's own mean keep to it, which li
 _MARGIN = 26.0  # so much worse than the best is none: about two lines that have to be left out
 _CIRCLE_RAD = np.radians(2.0)  # how well an ellipse shows how the camera is turned
 _SAME_RAD = np.radians(1.2)
+_LONGEST = 0.2  # a step
 _GATE = 25.0  # chi2 up to which a line counts for an attitude
 
 
@@ -160,38 +161,49 @@ def _fit(
     states = np.zeros((count, 6))
     states[:, 2], states[:, 4:] = angles[:, 0], angles[:, 1:]
     rotation, axes = rotations(states), turn_axes(states)
+    across = rotation.transpose(0, 2, 1)
     off = (angles[:, 1:] - target) / pull
-    information, gradient = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    information[:, 0, 0] = 1e-3
-    information[:, [1, 2], [1, 2]] = pull**-2.0
-    gradient[:, 1:] = off / pull
     score = -0.5 * (off * off).sum(axis=1)
+    jacobians, errors, weights = [], [], []
 
-    def add(planes: _Planes, error: FloatArray, variance: FloatArray, towards: FloatArray, used: FloatArray) -> None:
-        nonlocal information, gradient, score
+    def add(turned: FloatArray, error: FloatArray, variance: FloatArray, used: FloatArray) -> None:
+        """turned: (k, n, 3) cross products of the planes' normals with the direction that they hold, in the field."""
+        nonlocal score
         chi2 = error * error / variance
-        weight = used / (variance * (1.0 + chi2 / 9.0) ** 2)
-        turned = planes.normals @ np.swapaxes(rotation, 1, 2)
-        jacobian = cross(turned, towards) @ np.swapaxes(axes, 1, 2)
-        weighted = jacobian * weight[..., None]
-        information = information + np.swapaxes(weighted, 1, 2) @ jacobian
-        gradient = gradient + (np.swapaxes(weighted, 1, 2) @ error[..., None])[..., 0]
-        score = score + (used * 0.5 * np.maximum(_GATE - chi2, 0.0)).sum(axis=1)
+        jacobians.append(turned @ axes.transpose(0, 2, 1))
+        errors.append(error)
+        weights.append(used / (variance * (1.0 + chi2 / 9.0) ** 2))
+        score = score + 0.5 * (used * np.maximum(_GATE - chi2, 0.0)).sum(axis=1)
 
     if len(lines.normals):
-        errors = [rotation[:, i] @ lines.normals.T for i in (0, 1)]
+        normals = lines.normals @ across
         variances = [lines.variance(rotation[:, i], widen_px) for i in (0, 1)]
-        along_y = errors[1] ** 2 / variances[1] < errors[0] ** 2 / variances[0]
-        error, variance = np.where(along_y, errors[1], errors[0]), np.where(along_y, variances[1], variances[0])
-        towards = np.where(along_y[..., None], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0])
+        along_y = normals[..., 1] ** 2 / variances[1] < normals[..., 0] ** 2 / variances[0]
+        variance = np.where(along_y, variances[1], variances[0])
+        turned = np.zeros_like(normals)
+        turned[..., 0], turned[..., 1] = (
+            np.where(along_y, -normals[..., 2], 0.0),
+            np.where(along_y, 0.0, normals[..., 2]),
+        )
+        turned[..., 2] = np.where(along_y, normals[..., 0], -normals[..., 1])
         below = (rotation[:, 2] @ lines.middles.T < -0.01).astype(np.float64)
-        add(lines, error, variance, towards, below * np.minimum(1.0, sight.line_lengths / 40.0))
+        error = np.where(along_y, normals[..., 1], normals[..., 0])
+        add(turned, error, variance, below * np.minimum(1.0, sight.line_lengths / 40.0))
     if len(posts.normals):
-        error = rotation[:, 2] @ posts.normals.T
-        up = np.broadcast_to([0.0, 0.0, 1.0], (*error.shape, 3))
-        add(posts, error, posts.variance(rotation[:, 2], widen_px), up, np.full(error.shape, 0.5))
+        normals = posts.normals @ across
+        turned = np.zeros_like(normals)
+        turned[..., 0], turned[..., 1] = normals[..., 1], -normals[..., 0]
+        add(turned, normals[..., 2], posts.variance(rotation[:, 2], widen_px), np.full(1, 0.5))
+    if not jacobians:
+        return angles, score
+    jacobian, error, weight = (np.concatenate(parts, axis=1) for parts in (jacobians, errors, weights))
+    weighted = (jacobian * weight[..., None]).transpose(0, 2, 1)
+    information, gradient = weighted @ jacobian, (weighted @ error[..., None])[..., 0]
+    information[:, 0, 0] += 1e-3
+    information[:, [1, 2], [1, 2]] += pull**-2.0
+    gradient[:, 1:] += off / pull
     step = np.linalg.solve(information, gradient[..., None])[..., 0]
-    return np.asarray(angles - np.clip(step, -0.2, 0.2)), score
+    return angles - np.minimum(np.maximum(step, -_LONGEST), _LONGEST), score
 
 
 def _of_circle(sight: Sight) -> list[FloatArray]:

@@ -22,7 +22,8 @@ from fieldloc.locate.states import cross, rotations
 from fieldloc.locate.widths import widths_fit
 from fieldloc.pose import FloatArray, rotation, wrap
 
-_MOST, _LEAST, _ALL_LINES = 480, 64, 4800  # candidates: the fewer lines there are, the less do votes tell
+_MOST, _LEAST, _ALL_LINES = 480, 64, 2400  # candidates: the fewer lines there are, the less do votes tell,
+_HEIGHTS = 2  # times as many where the height is not known
 _MOST_COORDINATES = 7
 _MOST_POSTS = 4  # the largest
 _STEP_M = 0.05  # of the coordinates that are voted for
@@ -79,7 +80,8 @@ def candidates(sight: Sight, shape: Shape, prior: CameraPrior, angles: FloatArra
     key -= key.min(axis=0, initial=0)
     flat = np.ravel_multi_index(tuple(key.T), tuple(key.max(axis=0, initial=0) + 1)) if len(key) else key[:, 0]
     _, first = np.unique(flat, return_index=True)
-    most = int(np.clip(_ALL_LINES // max(len(sight.line_rows), 1) ** 2, _LEAST, _MOST))
+    enough = _ALL_LINES * (1 if prior.knows_height else _HEIGHTS) // max(len(sight.line_rows), 1) ** 2
+    most = min(max(enough, _LEAST), _MOST)
     states = states[order[np.sort(first)[:most]]]
     if len(sight.post_rows) > 1 and len(angles):
         states = np.concatenate([states, _of_two_posts(sight, shape, prior, *angles[0, 1:])])

@@ -42,7 +42,7 @@ class Sight:
     """Lines: line_rays, line_across (l, 2, 3); line_noise (l, 2, 2) px^2 of both ends across it; line_lengths (l,) px;
     widths, width_sigmas (l, 2) px, NaN where not known. line_rows: (l,) of the detections.
     Posts: post_rays, post_across (p, 4, 3), post_out (p, 4) of left upper, left lower, right upper, right lower end;
-    post_noise (p, 4, 4); post_widths: (p,) px. Their feet and tops, p of each. post_rows: (p,).
+    post_noise (p, 4, 4); post_widths: (p,) px. Their feet (p). post_rows: (p,).
     Circle, the largest: circle_rays (c, 3), circle_by_pixel (c, 3, 2), circle_out (c, 2), circle_sigmas (c,).
     """
 
@@ -61,13 +61,11 @@ class Sight:
     post_noise: FloatArray
     post_widths: FloatArray
     feet: Points
-    tops: Points
     post_rows: NDArray[np.intp]
     circle_rays: FloatArray
     circle_by_pixel: FloatArray
     circle_out: FloatArray
     circle_sigmas: FloatArray
-    marks: Points
 
     line_both: FloatArray
     """(l, 2, 2, 3): line_rays, line_across."""
@@ -101,10 +99,8 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
         camera, of_posts, [post.covariance_px2 for post in posts]
     )
     feet = _points(camera, [(post.foot_px, post.foot_covariance_px2) for post in posts])
-    tops = _points(camera, [(post.top_px, post.top_covariance_px2) for post in posts])
     circle = max(detections.circles, key=lambda one: len(one.points_px), default=None)
     circle_rays, circle_by_pixel, circle_out, circle_sigmas = _circle(camera, circle)
-    marks = _points(camera, [(mark.centre_px, mark.covariance_px2) for mark in detections.marks])
     lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     focal_px = 0.5 * (camera.fx_px + camera.fy_px)
     return Sight(
@@ -123,13 +119,11 @@ def sight_of(detections: Detections, camera: Camera) -> Sight:
         post_noise[stands],
         focal_px * np.linalg.norm(post_rays[stands, :2].mean(axis=1) - post_rays[stands, 2:].mean(axis=1), axis=-1),
         feet.take(stands),
-        tops.take(stands),
         post_rows[stands],
         circle_rays,
         circle_by_pixel,
         circle_out,
         circle_sigmas,
-        marks.take(marks.known),
         np.stack([line_rays, line_across], axis=1)[good],
         line_noise[good].diagonal(axis1=1, axis2=2),
         np.stack([-line_out, -np.ones_like(line_out)], axis=1)[good],
