@@ -105,12 +105,15 @@ def attitudes(sight: Sight, prior: CameraPrior, most: int = 4) -> Attitudes:
     # a line that is none may outweigh a circle: what the circle shows is kept beside what most lines show
     shown = [np.abs(angles[order, 1:] - tilt).max(axis=1) < _CIRCLE_RAD for tilt in circles]
     order = np.concatenate([order[:1], *(order[near][:1] for near in shown), order[1:]])
+    off = np.abs(angles[order, None] - angles[order])
+    off[..., 0] = np.minimum(off[..., 0], 0.5 * np.pi - off[..., 0])
+    same = (off < _SAME_RAD).all(axis=2)
     kept: list[int] = []
-    for row in order:
-        off = np.abs(angles[row] - angles[kept])
-        off[:, 0] = np.minimum(off[:, 0], 0.5 * np.pi - off[:, 0])
-        if not (off < _SAME_RAD).all(axis=1).any():
+    taken = np.zeros(len(order), dtype=np.bool_)
+    for i, row in enumerate(order):
+        if not taken[i]:
             kept.append(int(row))
+            taken |= same[i]
             if len(kept) == most:
                 break
     return Attitudes(angles[kept], scores[kept])
@@ -160,7 +163,8 @@ def _fit(
     count = len(angles)
     states = np.zeros((count, 6))
     states[:, 2], states[:, 4:] = angles[:, 0], angles[:, 1:]
-    rotation, axes = rotations(states), turn_axes(states)
+    rotation = rotations(states)
+    axes = turn_axes(states, rotation)
     across = rotation.transpose(0, 2, 1)
     off = (angles[:, 1:] - target) / pull
     score = -0.5 * (off * off).sum(axis=1)

@@ -36,7 +36,8 @@ class Cameras:
 
     @staticmethod
     def at(states: FloatArray, sight: Sight, shape: Shape) -> "Cameras":
-        return Cameras(states, sight, shape, rotations(states), turn_axes(states), centres(states))
+        rotation = rotations(states)
+        return Cameras(states, sight, shape, rotation, turn_axes(states, rotation), centres(states))
 
     def turned(self, vectors: FloatArray) -> FloatArray:
         """Vectors of the camera (n, ..., 3) in the field: (k, n, ..., 3)."""

@@ -11,24 +11,21 @@ from fieldloc.pose import FloatArray
 
 def rotations(states: FloatArray) -> FloatArray:
     """field_from_camera (k, 3, 3), as `fieldloc.ground.robot_from_camera`."""
-    cp, sp = np.cos(states[:, 2]), np.sin(states[:, 2])
-    ct, st = np.cos(states[:, 4]), np.sin(states[:, 4])
-    cr, sr = np.cos(states[:, 5]), np.sin(states[:, 5])
+    (cp, _, ct, cr), (sp, _, st, sr) = np.cos(states[:, 2:]).T, np.sin(states[:, 2:]).T
+    rolled, upright = sr * st, cr * st
     out = np.empty((len(states), 3, 3))
-    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = cr * sp - sr * cp * st, -sr * sp - cr * cp * st, cp * ct
-    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = -cr * cp - sr * sp * st, sr * cp - cr * sp * st, sp * ct
+    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = cr * sp - cp * rolled, -sr * sp - cp * upright, cp * ct
+    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = -cr * cp - sp * rolled, sr * cp - sp * upright, sp * ct
     out[:, 2, 0], out[:, 2, 1], out[:, 2, 2] = -sr * ct, -cr * ct, -st
     return out
 
 
-def turn_axes(states: FloatArray) -> FloatArray:
+def turn_axes(states: FloatArray, rotation: FloatArray) -> FloatArray:
     """(k, 3, 3), a row each: field axes about which a change of heading, pitch and roll turns the camera."""
-    cp, sp = np.cos(states[:, 2]), np.sin(states[:, 2])
-    ct, st = np.cos(states[:, 4]), np.sin(states[:, 4])
     out = np.zeros((len(states), 3, 3))
     out[:, 0, 2] = 1.0
-    out[:, 1, 0], out[:, 1, 1] = -sp, cp
-    out[:, 2, 0], out[:, 2, 1], out[:, 2, 2] = cp * ct, sp * ct, -st
+    out[:, 1, 0], out[:, 1, 1] = -np.sin(states[:, 2]), np.cos(states[:, 2])
+    out[:, 2] = rotation[:, :, 2]  # the camera rolls about its own axis
     return out
 
 
