@@ -67,7 +67,9 @@ def _measured(middle: FloatArray, size: FloatArray, ring: FloatArray, grey: UInt
     u, v = np.meshgrid(np.arange(first[0], first[0] + patch.shape[1]), np.arange(first[1], first[1] + patch.shape[0]))
     centre = np.array([float((bright * u).sum()), float((bright * v).sum())]) / total
     # The turf's texture in and at the patch moves the centroid; it is as coarse as the ring's pixels are alike.
-    likeness = np.clip(np.corrcoef(around, np.roll(around, 1))[0, 1], 0.0, 0.9) if spread > 0.0 else 0.0
+    off = around - around.mean()
+    alike = float(off[1:] @ off[:-1] + off[0] * off[-1]) / max(float(off @ off), 1e-9)
+    likeness = min(max(alike, 0.0), 0.9)
     grain = ((1.0 + likeness) / (1.0 - likeness)) ** 2
     covariance = np.empty((2, 2))
     du, dv = u - centre[0], v - centre[1]
