@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldloc import pose as se2
-from fieldloc.covariance import log_peaks
+from fieldloc.covariance import log_peaks, squared_mahalanobis
 from fieldloc.factors import Factor, sighted
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
 from fieldloc.pose import FloatArray
@@ -102,8 +102,9 @@ def expand_stack(
     error, jacobian = stack.errors(poses), stack.jacobians(poses)
     size = error.shape[-1]
     expected = jacobian @ covariances[:, None] @ np.swapaxes(jacobian, -1, -2) + stack.covariances
-    distance = np.sum(error * np.linalg.solve(expected, error[..., None])[..., 0], axis=-1)
-    near = distance < GATES[size]
+    # what is too far in one number is so in all
+    near = np.asarray((error * error < GATES[size] * expected.diagonal(axis1=-2, axis2=-1)).all(axis=-1))
+    near[near] = squared_mahalanobis(error[near], expected[near]) < GATES[size]
     if isinstance(stack, LineStack):
         near &= _in_reach(stack, poses, covariances)
     parent, row = np.nonzero(near)
@@ -114,10 +115,9 @@ def expand_stack(
     step = out.step
     if stack.curved and len(row) and (np.abs(step) > [_STRAIGHT_M, _STRAIGHT_M, _STRAIGHT_RAD]).any():
         # once more where the update leads, in terms of the tangent at the parent's pose
-        at, picked = se2.retract(poses[parent], step), stack.take(row)
-        each = np.arange(len(row))
-        jacobian_at = picked.jacobians(at)[each, each] @ se2.right_jacobian(step)
-        error_at = picked.errors(at)[each, each] - (jacobian_at @ step[:, :, None])[..., 0]
+        at, picked = se2.retract(poses[parent], step), stack.take(row[:, None])  # one for each pose
+        jacobian_at = picked.jacobians(at)[:, 0] @ se2.right_jacobian(step)
+        error_at = picked.errors(at)[:, 0] - (jacobian_at @ step[:, :, None])[..., 0]
         constant = log_weights[row] + log_norm
         out = _quadratic(parent, row + first_id, constant, error_at, jacobian_at, precision, covariances[parent])
     return out

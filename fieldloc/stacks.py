@@ -35,7 +35,7 @@ class FactorStack(Protocol):
         """(k,) log of the integral of the error's density over all poses, within the area where a position is free."""
 
     def take(self, rows: NDArray[np.intp]) -> "FactorStack":
-        """Those factors, in that order."""
+        """Those factors, in that order. Of rows (c, 1) c stacks of one each, at c poses."""
 
     def factor(self, stamp_ns: int, row: int) -> Factor: ...
 
