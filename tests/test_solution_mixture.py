@@ -83,6 +83,20 @@ def test_an_expansion_is_the_logarithm_of_a_solution_s_density(stack: FactorStac
 
 
 @each
+def test_an_expansion_at_many_places_is_that_at_each_of_them(stack: FactorStack) -> None:
+    one = mixture(stack)
+    away = [np.zeros(3), np.array([0.2, -0.1, 0.15]), np.array([9.0, 9.0, 3.0]), np.array([-0.15, 0.2, -0.1])]
+    poses, covariances = se2.retract(POSE, np.stack(away)), np.stack([P3, 0.5 * P3, P3, 2.0 * P3])
+    together = one.expand(poses, covariances)
+    assert set(together.parent.tolist()) >= {0, 1, 3}
+    for k in range(len(poses)):
+        alone, rows = one.expand(poses[k : k + 1], covariances[k : k + 1]), together.parent == k
+        np.testing.assert_array_equal(together.ids[rows], alone.ids)
+        for name in ("constant", "gradient", "information"):
+            np.testing.assert_allclose(getattr(together, name)[rows], getattr(alone, name), rtol=1e-9, atol=1e-9)
+
+
+@each
 def test_the_evidence_is_the_integral_of_likelihood_times_belief(stack: FactorStack) -> None:
     # a narrow belief, over which the model is straight; by sampling, 2 % of standard error
     narrow = 0.02 * P3
