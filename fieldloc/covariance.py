@@ -4,7 +4,6 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from fieldloc.pose import FloatArray
 
@@ -41,14 +40,6 @@ def squared_mahalanobis(residual: FloatArray, covariance: FloatArray) -> FloatAr
 def log_peaks(covariances: FloatArray) -> FloatArray:
     """Log densities at zero (...) of normal errors (..., m, m)."""
     return np.asarray(-0.5 * np.linalg.slogdet(2.0 * np.pi * covariances)[1])
-
-
-def inverse_and_log_determinant(covariance: FloatArray) -> tuple[FloatArray, float]:
-    """Of one positive definite matrix (m, m): numpy's own take several times as long for a single small one."""
-    root, inverse, failed = dposv(covariance, np.eye(len(covariance)))
-    if failed:  # by rounding
-        return np.asarray(np.linalg.inv(covariance), dtype=np.float64), float(np.linalg.slogdet(covariance)[1])
-    return inverse, 2.0 * float(np.log(root.diagonal()).sum())
 
 
 @lru_cache(maxsize=64)

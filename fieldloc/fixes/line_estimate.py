@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldloc.covariance import chi_square_bounds, inverse_and_log_determinant
+from fieldloc.covariance import chi_square_bounds
 from fieldloc.fixes.line_map import TurnedGrid
 from fieldloc.fixes.line_matching import GATE_SIGMAS, Matches, distinct, weights_of
 from fieldloc.fixes.lines import GroundLines
@@ -124,9 +124,8 @@ def _without(covariance: FloatArray, left_out: NDArray[np.bool_]) -> tuple[Float
     A number is left out of the inverse of all by eliminating it there.
     """
     count, each = len(left_out), np.arange(len(left_out))
-    inverse, log_det_of_all = inverse_and_log_determinant(covariance)
-    weight, log_det = np.empty((count, *covariance.shape)), np.full(count, log_det_of_all)
-    weight[:] = inverse
+    weight, log_det = np.empty((count, *covariance.shape)), np.full(count, np.linalg.slogdet(covariance)[1])
+    weight[:] = np.linalg.inv(covariance)
     at_once = left_out.argsort(axis=1, kind="stable")
     for turn in range(1, 1 + int(left_out.sum(axis=1).max(initial=0))):
         number = at_once[:, -turn]

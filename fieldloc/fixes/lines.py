@@ -16,10 +16,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dposv
 
 from fieldloc.camera import Camera
-from fieldloc.covariance import inverse_and_log_determinant
 from fieldloc.fixes.line_segments import LineSegments, agreeing, bearing_by_attitude, modulo_quarter, usable_segments
 from fieldloc.ground import attitude_axes, cross, robot_from_camera
 from fieldloc.measurements import CameraMount, LineObservation
@@ -110,13 +108,13 @@ def _fit(mount: CameraMount, root: FloatArray, segments: LineSegments, bearing: 
         gradient = weighted @ residual
         gradient[1:] += x[1:]
         information = weighted @ jacobian + _OF_MOUNT
-        step: FloatArray = dposv(information, gradient)[1]
+        step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         settled = bool(gradient @ step < _CONVERGED)
         x -= step * min(1.0, _LONGEST_STEP_SIGMAS / max(1e-9, *map(abs, step[1:].tolist())))
         moved = _moved(mount, root @ x[1:])
         if settled:
             break
-    covariance, _ = inverse_and_log_determinant(information)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     misfit = weight * residual * residual
     # what is left of a line's one residual after its own say in the estimate
     redundancy = 1.0 - weight * ((jacobian @ covariance) * jacobian).sum(axis=1)
