@@ -61,7 +61,7 @@ class Linearised:
     """
 
     def __init__(self, chain: Chain, config: Config) -> None:
-        self._chain = chain
+        self._chain, self.count = chain, len(chain.stamps_ns)
         self.durations_s = np.diff(chain.stamps_ns).astype(np.float64) * 1e-9
         self._cauchy = config.graph.cauchy
         self.means, self.sigmas = global_means(config), global_sigmas(config)

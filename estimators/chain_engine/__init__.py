@@ -17,7 +17,7 @@ from estimators.config import Config
 from estimators.linearised import Linearised
 from estimators.motion import CALIBRATION, Increment
 from estimators.solution import Solution
-from fieldloc.factors import PoseFactor
+from fieldloc.factors import HeadingFactor, PoseFactor
 
 
 def solve(chain: Chain, config: Config, near: Solution | None = None) -> Solution:
@@ -42,7 +42,9 @@ def arithmetic() -> Callable[[Linearised, float], Arithmetic]:
 
 
 def prepare() -> None:
-    """Solves a chain of two poses, so that all is compiled: the first time on a machine that takes some seconds."""
+    """Solves chains of two poses, so that all is compiled: the first time on a machine that takes some seconds."""
     step = Increment(np.array([1e-9, 0.0, 0.0]), np.eye(3), np.zeros((3, CALIBRATION)))
     seen = PoseFactor(0, np.zeros(3), np.eye(3), by_sight=True)
-    solve(Chain((0, 1), (step,), ((0, seen),), np.zeros((2, 3))), Config())
+    compass = HeadingFactor(0, 0.0, np.eye(1), by_compass=True)
+    for factors in ((seen,), (seen, compass)):
+        solve(Chain((0, 1), (step,), tuple((0, factor) for factor in factors), np.zeros((2, 3))), Config())

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from fieldloc.pose import FloatArray
 
 
@@ -18,12 +20,28 @@ class Blocks:
     border: FloatArray
     corner: FloatArray
 
+    @classmethod
+    def zeros(cls, n: int, d: int, p: int) -> "Blocks":
+        q = p + 1
+        return cls(np.zeros((n, d, d)), np.zeros((n - 1, d, d)), np.zeros((n, d, q)), np.zeros((q, q)))
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """d numbers: how many is part of the type, for which a compiler makes code of its own."""
+        return (0,) * int(self.diagonal.shape[1])
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """p numbers, as `rows`."""
+        return (0,) * (len(self.corner) - 1)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marginals:
-    """Parts of the inverse of the information.
+    """Parts of the inverse of the information, and the step that it leads to.
 
-    covariances: (n, d, d). following: (n - 1, d, d) of a block (rows) with the next. border: (p, p).
+    covariances: (n, d, d). following: (n - 1, d, d) of a block (rows) with the next. border: (p, p). steps: (n, d);
+    border_step: (p,).
     """
 
     covariances: FloatArray
@@ -31,6 +49,8 @@ class Marginals:
     border: FloatArray
     log_determinant: float
     """Of the information."""
+    steps: FloatArray
+    border_step: FloatArray
 
 
 class IndefiniteError(ValueError):

@@ -39,14 +39,7 @@ class _Reduced(NamedTuple):
 
 def solve(blocks: Blocks, damping: float) -> tuple[FloatArray, FloatArray]:
     """Blocks (n, d) and border (p,). damping: added to the diagonal of the blocks."""
-    reduced = _reduced(blocks, damping)
-    border = np.asarray(np.linalg.solve(reduced.corner[:-1, :-1], reduced.corner[:-1, -1]), dtype=np.float64)
-    towards = np.append(-border, 1.0)
-    out = np.einsum("iqn,q->in", reduced.few, towards)[:, None]
-    for level in reversed(reduced.levels):
-        own = np.einsum("iqn,q->in", level.by_border, towards)[:, None]
-        out = _spread(out, own, level)
-    return out[:, 0].T.copy(), border
+    return _stepped(_reduced(blocks, damping))
 
 
 def marginals(blocks: Blocks) -> Marginals:
@@ -64,7 +57,18 @@ def marginals(blocks: Blocks) -> Marginals:
     alone = alone + np.einsum("ijn,kjn->ikn", spread, by_border)
     following = following + np.einsum("ijn,kjn->ikn", spread[..., :-1], by_border[..., 1:])
     log_determinant = reduced.log_determinant + float(np.linalg.slogdet(reduced.corner[:-1, :-1])[1])
-    return Marginals(alone.transpose(2, 0, 1).copy(), following.transpose(2, 0, 1).copy(), border, log_determinant)
+    covariances, with_next = alone.transpose(2, 0, 1).copy(), following.transpose(2, 0, 1).copy()
+    return Marginals(covariances, with_next, border, log_determinant, *_stepped(reduced))
+
+
+def _stepped(reduced: _Reduced) -> tuple[FloatArray, FloatArray]:
+    border = np.asarray(np.linalg.solve(reduced.corner[:-1, :-1], reduced.corner[:-1, -1]), dtype=np.float64)
+    towards = np.append(-border, 1.0)
+    out = np.einsum("iqn,q->in", reduced.few, towards)[:, None]
+    for level in reversed(reduced.levels):
+        own = np.einsum("iqn,q->in", level.by_border, towards)[:, None]
+        out = _spread(out, own, level)
+    return out[:, 0].T.copy(), border
 
 
 def _reduced(blocks: Blocks, damping: float) -> _Reduced:

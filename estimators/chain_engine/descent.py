@@ -15,7 +15,8 @@ from estimators.solution import Solution
 _MAX_STEPS = 50
 _NEAR_M = 0.05  # when no pose moves more in a step, the search for the poses alone ends
 _SMALL_M = 1e-3  # no such step is refused
-_STILL_M = 2e-5  # the last step; what is left after it is a fraction of it
+_STILL_M = 1e-5  # of what is left then the last step, with the covariances, leaves a fraction
+_LAST_M, _MAX_ROUNDS = 2e-5, 5  # the last step; where it is longer, the one before was not nearly the last
 _BEND = 0.95  # see Arithmetic.add_all; makes the last steps few
 _ROUNDING = 1e-9  # relative, of the error
 _LEAST_DAMPING, _MOST_DAMPING, _DAMPING_FACTOR = 1e-5, 1e9, 10.0
@@ -35,29 +36,36 @@ def solved(
     else:
         common = np.where(equations.free, [*near.calibration, *near.sensor], equations.means)
         state = State(guess, common, equations.start(near))
-    state = _descended(equations, state, True, _STILL_M)
-    return equations.solution(equations.at(state, True, 0.0)[0], state)
+    for _ in range(_MAX_ROUNDS):
+        state = _descended(equations, state, True, _STILL_M)
+        # weights alone are what covariances are by; they lead nearly the same way
+        solution, state, moved_m = equations.last(equations.at(state, True, 0.0)[0], state)
+        if moved_m < _LAST_M:
+            break
+    return solution
 
 
 def _descended(equations: Equations, state: State, whole: bool, still_m: float) -> State:
-    """Where Gauss and Newton's steps lead to, until no pose moves more than `still_m`; one that would lead up is damped
-    (Levenberg, Marquardt)."""
+    """Where Gauss and Newton's steps lead to, until no pose is more than `still_m` away from there by how much smaller
+    they become; one that would lead up is damped (Levenberg, Marquardt)."""
     blocks, cost = equations.at(state, whole, _BEND if whole else 0.0)
     if not np.isfinite(cost):
         raise ValueError("the chain's error is not finite: a factor holds a value that is not")
-    damping = 0.0
+    damping, before = 0.0, 0.0
     for _ in range(_MAX_STEPS):
         after, moved, after_blocks, after_cost = state, np.inf, blocks, np.inf
         with suppress(IndefiniteError):
             after, moved = equations.step(blocks, damping, state)
-            if moved < still_m:
+            if moved * min(1.0, moved / before if before > 0.0 else 1.0) < still_m:
                 return after
             after_blocks, after_cost = equations.at(after, whole, _BEND if moved < _NEAR_M else 0.0)
         # the last steps go where the equations hold, which what is left out of them makes not quite the minimum
         if after_cost <= cost + _ROUNDING * max(1.0, cost) or (moved < _SMALL_M and np.isfinite(after_cost)):
             state, blocks, cost = after, after_blocks, after_cost
+            before = moved if damping == 0.0 else 0.0
             damping = damping / _DAMPING_FACTOR if damping > _LEAST_DAMPING else 0.0
         else:
+            before = 0.0
             damping = max(_LEAST_DAMPING, damping * _DAMPING_FACTOR)
             if damping > _MOST_DAMPING:
                 break

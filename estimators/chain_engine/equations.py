@@ -51,19 +51,18 @@ class Equations:
         self._cauchy = config.graph.cauchy
         linearised = Linearised(chain, config)
         self.free, self.means = linearised.free, linearised.means
-        self._weights = linearised.sigmas[self.free] ** -2.0
+        # what is not free has a column too, in which nothing is: a border of one size
+        self._weights = np.where(self.free, linearised.sigmas, 1.0) ** -2.0
         self._compass = CompassOffsets.of(chain, config.compass)
         self._arithmetic = arithmetic(linearised, config.graph.cauchy)
 
     def at(self, state: State, whole: bool, bend: float) -> tuple[Blocks, float]:
         """And what is minimised. whole: for all that is free; else for the poses alone, as if the rest were zero."""
-        n, d = len(state.poses), 4 if whole and self._compass.free else 3
-        q = 1 + (len(self._weights) if whole else 0)
-        blocks = Blocks(np.zeros((n, d, d)), np.zeros((n - 1, d, d)), np.zeros((n, d, q)), np.zeros((q, q)))
+        blocks = Blocks.zeros(len(state.poses), 4 if whole and self._compass.free else 3, GLOBALS if whole else 0)
         cost = self._arithmetic.add_all(blocks, state.poses, state.common, bend)
         cost += self._compass.add_to(blocks, state.poses, state.offsets, self._cauchy, bend)
         if whole:
-            towards = (self.means - state.common)[self.free] * self._weights
+            towards = (self.means - state.common) * self._weights
             blocks.corner[:-1, :-1] += np.diag(self._weights)
             blocks.corner[:-1, -1] += towards
             blocks.corner[-1, :-1] += towards
@@ -71,33 +70,35 @@ class Equations:
 
     def step(self, blocks: Blocks, damping: float, state: State) -> tuple[State, float]:
         """The state that the blocks lead to, and how far (m) the pose that moves most does so on the way."""
-        steps, border = self._arithmetic.solve(blocks, damping)
-        common = state.common.copy()
-        if len(border):
-            common[self.free] += border
-        offsets = state.offsets + steps[:, 3] if steps.shape[1] == 4 else state.offsets
-        return State(se2.retract(state.poses, steps[:, :3]), common, offsets), float(
-            np.abs(steps[:, :3] * _LEVER).max()
-        )
+        return _moved(state, *self._arithmetic.solve(blocks, damping))
 
-    def start(self, near: Solution) -> FloatArray:
-        """(n,) the compass' offset at each node by an earlier solution."""
-        return self._compass.at_nodes(near.compass_rad)
-
-    def solution(self, blocks: Blocks, state: State) -> Solution:
-        """The answer where the blocks are from."""
+    def last(self, blocks: Blocks, state: State) -> tuple[Solution, State, float]:
+        """As `step`, with the answer there; its covariances are those that the blocks hold."""
         marginals = self._arithmetic.marginals(blocks)
+        after, moved_m = _moved(state, marginals.steps, marginals.border_step)
         covariance = np.zeros((GLOBALS, GLOBALS))
-        covariance[np.ix_(self.free, self.free)] = marginals.border
+        covariance[np.ix_(self.free, self.free)] = marginals.border[np.ix_(self.free, self.free)]
         variances, following = marginals.covariances[:, -1, -1], marginals.following[:, -1, -1]
-        compass_rad, compass_variance, left_out = self._compass.at_knots(state.offsets, variances, following)
-        return Solution(
-            state.poses,
+        compass_rad, compass_variance, left_out = self._compass.at_knots(after.offsets, variances, following)
+        solution = Solution(
+            after.poses,
             np.ascontiguousarray(marginals.covariances[:, :3, :3]),
-            OdometryCalibration(*state.common[:CALIBRATION].tolist()),
-            SensorCalibration(*state.common[CALIBRATION:].tolist()),
+            OdometryCalibration(*after.common[:CALIBRATION].tolist()),
+            SensorCalibration(*after.common[CALIBRATION:].tolist()),
             covariance,
             compass_rad,
             compass_variance,
             marginals.log_determinant + left_out,
         )
+        return solution, after, moved_m
+
+    def start(self, near: Solution) -> FloatArray:
+        """(n,) the compass' offset at each node by an earlier solution."""
+        return self._compass.at_nodes(near.compass_rad)
+
+
+def _moved(state: State, steps: FloatArray, border: FloatArray) -> tuple[State, float]:
+    common = state.common + border if len(border) else state.common
+    offsets = state.offsets + steps[:, 3] if steps.shape[1] == 4 else state.offsets
+    moved_m = float(np.abs(steps[:, :3] * _LEVER).max())
+    return State(se2.retract(state.poses, steps[:, :3]), common, offsets), moved_m

@@ -1,9 +1,13 @@
 """All of a chain linearised and summed up to its normal equations in one sweep, in numba.
 
-The formulas are those of estimators.linearised, which does the same with arrays and says what they are of.
+The formulas are those of estimators.linearised, which does the same with arrays and says what they are of. In here a
+3 x 3 matrix is nine numbers, row by row, and an affine one ((a, b, x), (-b, a, y), (0, 0, 1)) is (a, b, x, y): all
+Jacobians and adjoints of the plane are such. Angles come with their cosines and sines, which are turned on, not made
+anew.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,345 +15,374 @@ from estimators.chain_engine.jit import compiled
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
+Numbers = tuple[float, ...]
+
 POSE, LANDMARK, HEADING, LINE = 0, 1, 2, 3
-"""Kinds of factors, whose values (4,) are: pose; place on the map and where it was seen; heading; heading, direction of
-the normal, offset."""
+"""Kinds of factors. Their values (5,): pose, its heading's cosine and sine; place on the map, where it was seen;
+heading; heading, offset, the normal's cosine and sine."""
 _SMALL_ANGLE_RAD = 1e-4
+_SHORT_RAD = 0.1  # up to here a few powers of an angle are all that a double holds of its cosine and sine
+_LARGE = 1e100
+
+
+class Motions(NamedTuple):
+    """moved (n - 1, 3) by odometry's word; informations (n - 1, 6) about the errors, lower triangles; by_calibration
+    (n - 1, 3, c) their change, zeros for what is not free; durations_s (n - 1,)."""
+
+    moved: FloatArray
+    informations: FloatArray
+    by_calibration: FloatArray
+    durations_s: FloatArray
+
+
+class Factors(NamedTuple):
+    """starts (2 n + 1,) of each node's, those by sight after the others; kinds (k,), values (k, 5), informations
+    (k, 6)."""
+
+    starts: IntArray
+    kinds: IntArray
+    values: FloatArray
+    informations: FloatArray
 
 
 @compiled
-def add_motions(
+def add_all(
     poses: FloatArray,
-    moved: FloatArray,
+    motions: Motions,
     miscalibrated: FloatArray,
-    roots: FloatArray,
-    by_common: FloatArray,
+    factors: Factors,
+    sensor: FloatArray,
+    free: FloatArray,
+    square2: float,
+    bend: float,
+    columns: tuple[int, ...],
     diagonal: FloatArray,
     following: FloatArray,
     border: FloatArray,
     corner: FloatArray,
 ) -> float:
-    """Adds the motions to the blocks; half their squared errors in sigmas.
+    """Adds motions and factors to the blocks; what is left of half their squared errors in sigmas.
 
-    miscalibrated: (n - 1, 3) what the calibration changes of them; by_common: (n - 1, 3, c) its change with the
-    border's first c columns.
+    miscalibrated: (n - 1, 3) what the calibration changes of the motions. sensor: (4,) its calibration; free: (4,)
+    1 or 0. square2: of Cauchy's kernel; bend: see Arithmetic. columns: see Blocks; the calibrations' or none.
     """
-    columns, q = by_common.shape[2], border.shape[2]
-    row = np.zeros((3, 7 + columns))
-    error = np.empty(3)
-    after, before, backwards, right = np.zeros((3, 3)), np.zeros((3, 3)), np.eye(3), np.zeros((3, 3))
-    cost = 0.0
-    for k in range(len(moved)):
-        x, y, turn = _exp(miscalibrated[k, 0], miscalibrated[k, 1], miscalibrated[k, 2], right)
-        expected = _composed(moved[k, 0], moved[k, 1], moved[k, 2], x, y, turn)
-        walked = _between(poses[k, 0], poses[k, 1], poses[k, 2], poses[k + 1, 0], poses[k + 1, 1], poses[k + 1, 2])
-        x, y, turn = _between(expected[0], expected[1], expected[2], walked[0], walked[1], walked[2])
-        _log(x, y, turn, error, after)
-        # before = -after @ adjoint(inverse(walked))
-        c, s = math.cos(walked[2]), math.sin(walked[2])
-        across, along = s * walked[0] - c * walked[1], c * walked[0] + s * walked[1]
-        for i in range(3):
-            before[i, 0] = s * after[i, 1] - c * after[i, 0]
-            before[i, 1] = -s * after[i, 0] - c * after[i, 1]
-            before[i, 2] = -after[i, 0] * across - after[i, 1] * along - after[i, 2]
-        for r in range(3):
-            for i in range(3):
-                low = high = 0.0
-                for m in range(r + 1):
-                    low += roots[k, r, m] * before[m, i]
-                    high += roots[k, r, m] * after[m, i]
-                row[r, i], row[r, 3 + i] = low, high
-            value = 0.0
-            for m in range(r + 1):
-                value -= roots[k, r, m] * error[m]
-            row[r, 6 + columns] = value
-            cost += 0.5 * value * value
-        if columns:
-            # the inverse right Jacobian at the error backwards
-            backwards[0, 0], backwards[0, 1], backwards[0, 2] = after[0, 0], after[1, 0], after[0, 2] - error[1]
-            backwards[1, 0], backwards[1, 1], backwards[1, 2] = after[0, 1], after[1, 1], after[1, 2] + error[0]
-            for r in range(3):
-                a = b = c = 0.0  # of -root @ backwards, row r
-                for m in range(r + 1):
-                    a -= roots[k, r, m] * backwards[m, 0]
-                    b -= roots[k, r, m] * backwards[m, 1]
-                    c -= roots[k, r, m] * backwards[m, 2]
-                d = a * right[0, 0] + b * right[1, 0]
-                e = a * right[0, 1] + b * right[1, 1]
-                f = a * right[0, 2] + b * right[1, 2] + c
-                for j in range(columns):
-                    row[r, 6 + j] = d * by_common[k, 0, j] + e * by_common[k, 1, j] + f * by_common[k, 2, j]
-        for r in range(3):
-            for i in range(3):
-                low, high = row[r, i], row[r, 3 + i]
-                for j in range(3):
-                    diagonal[k, i, j] += low * row[r, j]
-                    following[k, i, j] += low * row[r, 3 + j]
-                    diagonal[k + 1, i, j] += high * row[r, 3 + j]
-                for j in range(columns):
-                    border[k, i, j] += low * row[r, 6 + j]
-                    border[k + 1, i, j] += high * row[r, 6 + j]
-                border[k, i, q - 1] += low * row[r, 6 + columns]
-                border[k + 1, i, q - 1] += high * row[r, 6 + columns]
-            for i in range(columns):
-                for j in range(i, columns):
-                    corner[i, j] += row[r, 6 + i] * row[r, 6 + j]
-                corner[i, q - 1] += row[r, 6 + i] * row[r, 6 + columns]
-    return cost
-
-
-@compiled
-def sights(
-    moved: FloatArray,
-    miscalibrated: FloatArray,
-    by_calibration: FloatArray,
-    durations_s: FloatArray,
-    still: FloatArray,
-    by_velocity: FloatArray,
-    sensor: FloatArray,
-    free: IntArray,
-) -> tuple[FloatArray, FloatArray]:
-    """As Linearised.sights; the change with the columns of by_calibration (n - 1, 3, c) and the sensor's free ones.
-
-    still: (3, 4) lever of a robot that does not move; by_velocity: (3, 3, 4) its change with the velocity.
-    """
-    count, c = len(moved) + 1, by_calibration.shape[2]
-    turned, by_common = np.zeros((count, 3)), np.zeros((count, 3, c + len(free)))
-    velocity, twist = np.zeros(3), np.zeros(3)
-    first, right, inverse, both = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-    for i in range(3):  # of the tangent by the velocity
-        for j in range(3):
-            for m in range(len(sensor)):
-                first[j, i] += by_velocity[i, j, m] * sensor[m]
-    for k in range(count):
-        before = max(k - 1, 0)
-        if count > 1:
-            x, y, turn = _exp(miscalibrated[before, 0], miscalibrated[before, 1], miscalibrated[before, 2], right)
-            x, y, turn = _composed(moved[before, 0], moved[before, 1], moved[before, 2], x, y, turn)
-            _log(x, y, turn, twist, inverse)
-            for i in range(3):
-                velocity[i] = twist[i] / durations_s[before]
+    moved, motion_informations, by_calibration, durations_s = motions
+    q = len(columns) + 1
+    c = q - 5 if q > 1 else 0
+    off = q > 1 or np.any(sensor != 0.0)  # whether things are seen from elsewhere than where the robot is
+    lever, by_sensor, rows = np.zeros((3, 4)), np.zeros((3, 5)), np.zeros((3, q))
+    cost = x = y = heading = cos = sin = 0.0
+    for k in range(len(poses)):
+        m = max(k - 1, 0)
+        last_x, last_y, last_heading, last_cos, last_sin = x, y, heading, cos, sin
+        x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
+        cos, sin = math.cos(heading), math.sin(heading)
+        right: Numbers = (1.0, 0.0, 0.0, 0.0)
+        at_x = at_y = at_turn = at_sin = 0.0
+        at_cos = 1.0
+        if len(moved):
+            x1, y1, turn, turn_cos, turn_sin, right = _exp(
+                miscalibrated[m, 0], miscalibrated[m, 1], miscalibrated[m, 2]
+            )
+            at_cos, at_sin = _cos_sin(moved[m, 2])
+            at_x, at_y = moved[m, 0] + at_cos * x1 - at_sin * y1, moved[m, 1] + at_sin * x1 + at_cos * y1
+            at_turn = _wrapped(moved[m, 2] + turn)
+            at_cos, at_sin = at_cos * turn_cos - at_sin * turn_sin, at_sin * turn_cos + at_cos * turn_sin
+        rows[:] = 0.0
+        known = False
+        if k > 0:
+            dx, dy = x - last_x, y - last_y
+            walked_x, walked_y = last_cos * dx + last_sin * dy, last_cos * dy - last_sin * dx
+            walked_cos, walked_sin = cos * last_cos + sin * last_sin, sin * last_cos - cos * last_sin
+            dx, dy = walked_x - at_x, walked_y - at_y
+            error, after = _log(
+                at_cos * dx + at_sin * dy, at_cos * dy - at_sin * dx, _wrapped(heading - last_heading - at_turn)
+            )
+            information = _symmetric(motion_informations[m])
+            pull = _vector(information, error)
+            cost += 0.5 * (pull[0] * error[0] + pull[1] * error[1] + pull[2] * error[2])
+            towards = _under_vector(after, pull)
+            own = _under(after, _times(information, after))
+            # by the tangent before it moves as -after @ adjoint
+            adjoint = (
+                walked_cos,
+                walked_sin,
+                walked_sin * walked_x - walked_cos * walked_y,
+                walked_cos * walked_x + walked_sin * walked_y,
+            )
+            across = _under(adjoint, own)
+            before = _times(across, adjoint)
+            backwards = _under_vector(adjoint, towards)
             for i in range(3):
                 for j in range(3):
-                    value = 0.0
-                    for m in range(3):
-                        value += inverse[i, m] * right[m, j]
-                    both[i, j] = value / durations_s[before]
-            for i in range(3):
-                for j in range(3):
-                    value = 0.0
-                    for m in range(3):
-                        value += first[i, m] * both[m, j]
-                    right[i, j] = value
-            for i in range(3):
+                    diagonal[m, i, j] += before[3 * i + j]
+                    diagonal[k, i, j] += own[3 * i + j]
+                    following[m, i, j] -= across[3 * i + j]
+                border[m, i, q - 1] += backwards[i]
+                border[k, i, q - 1] -= towards[i]
+            if c:
+                # the expected motion is on the error's left side: the inverse right Jacobian at the error backwards
+                moving = _product((after[0], -after[1], after[2] - error[1], after[3] + error[0]), right)
+                weighted = _times(information, moving)
+                by_pose, by_motion = _under(after, weighted), _under(moving, weighted)
                 for j in range(c):
-                    value = 0.0
-                    for m in range(3):
-                        value += right[i, m] * by_calibration[before, m, j]
-                    by_common[k, i, j] = value
-        for i in range(3):
-            for m in range(len(sensor)):
-                lever = still[i, m]
-                for j in range(3):
-                    lever += by_velocity[j, i, m] * velocity[j]
-                turned[k, i] += lever * sensor[m]
-                for column in range(len(free)):
-                    if free[column] == m:
-                        by_common[k, i, c + column] = lever
-    return turned, by_common
-
-
-@compiled
-def add_factors(
-    poses: FloatArray,
-    nodes: IntArray,
-    kinds: IntArray,
-    sighted: IntArray,
-    values: FloatArray,
-    roots: FloatArray,
-    turned: FloatArray,
-    by_common: FloatArray,
-    cauchy: float,
-    bend: float,
-    diagonal: FloatArray,
-    border: FloatArray,
-    corner: FloatArray,
-) -> float:
-    """Adds the factors to the blocks; what Cauchy's kernel of `cauchy` sigmas leaves of their errors.
-
-    nodes in order, kinds, sighted (k,), values (k, 4), roots (k, 3, 3): of the factors. turned: (n, 3) from each node
-    to where it is seen from, none if that is the same; by_common: (n, 3, c) its change with the border's first c
-    columns. bend: see Arithmetic.
-    """
-    size, count, q = 0, len(nodes), border.shape[2]
-    error, jacobian, row = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4))
-    information, pull, towards = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    adjoint, right = np.eye(3), np.zeros((3, 3))
-    cost, square2 = 0.0, cauchy * cauchy
-    f = 0
-    while f < count:
-        node, seeing = nodes[f], len(turned) > 0 and sighted[f] != 0
-        x, y, heading = poses[node, 0], poses[node, 1], poses[node, 2]
-        if seeing:
-            moved = _exp(turned[node, 0], turned[node, 1], turned[node, 2], right)
-            x, y, heading = _composed(x, y, heading, moved[0], moved[1], moved[2])
-            c, s = math.cos(moved[2]), math.sin(moved[2])
-            adjoint[0, 0], adjoint[0, 1], adjoint[0, 2] = c, s, s * moved[0] - c * moved[1]
-            adjoint[1, 0], adjoint[1, 1], adjoint[1, 2] = -s, c, c * moved[0] + s * moved[1]
-        c, s = math.cos(heading), math.sin(heading)
-        information[:] = 0.0
-        towards[:] = 0.0
-        # all that is about one pose goes into one information about that
-        while f < count and nodes[f] == node and (len(turned) > 0 and sighted[f] != 0) == seeing:
-            kind = kinds[f]
-            if kind == POSE:
-                size = 3
-                at = _between(values[f, 0], values[f, 1], values[f, 2], x, y, heading)
-                _log(at[0], at[1], at[2], error, jacobian)
-            elif kind == LANDMARK:
-                size = 2
-                forward, left = values[f, 0] - x, values[f, 1] - y
-                forward, left = c * forward + s * left, c * left - s * forward
-                error[0], error[1] = forward - values[f, 2], left - values[f, 3]
-                jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = -1.0, 0.0, left
-                jacobian[1, 0], jacobian[1, 1], jacobian[1, 2] = 0.0, -1.0, -forward
-            else:
-                size = 1
-                error[0] = _wrapped(heading - values[f, 0])
-                jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = 0.0, 0.0, 1.0
-                if kind == LINE:
-                    size = 2
-                    normal_c, normal_s = math.cos(values[f, 1]), math.sin(values[f, 1])
-                    error[1] = normal_c * x + normal_s * y - values[f, 2]
-                    jacobian[1, 0], jacobian[1, 2] = normal_c * c + normal_s * s, 0.0
-                    jacobian[1, 1] = normal_s * c - normal_c * s
-            square = 0.0
-            for r in range(size):
-                for i in range(4):
-                    row[r, i] = 0.0
-                for m in range(r + 1):
-                    root = roots[f, r, m]
+                    column = (by_calibration[m, 0, j], by_calibration[m, 1, j], by_calibration[m, 2, j])
+                    change = _vector(by_pose, column)
+                    back, alone = _under_vector(adjoint, change), _vector(by_motion, column)
                     for i in range(3):
-                        row[r, i] += root * jacobian[m, i]
-                    row[r, 3] -= root * error[m]
-                square += row[r, 3] * row[r, 3]
-            cost += 0.5 * square2 * math.log1p(square / square2)
-            weight = 1.0 / (1.0 + square / square2)
-            for i in range(3):
-                pull[i] = 0.0
-            for r in range(size):
+                        border[m, i, j] += back[i]
+                        border[k, i, j] -= change[i]
+                        rows[i, j] += alone[i]
+                moves = _under_vector(moving, pull)
                 for i in range(3):
-                    scaled = weight * row[r, i]
-                    pull[i] += scaled * row[r, 3]
-                    for j in range(3):
-                        information[i, j] += scaled * row[r, j]
-            less = 0.0
-            if bend > 0.0 and square > 0.0:
-                less = min(2.0 / square2, bend / (weight * square))
-            for i in range(3):
-                towards[i] += pull[i]
-                for j in range(3):
-                    information[i, j] -= less * pull[i] * pull[j]
-            f += 1
-        if seeing:
-            _add_seen(information, towards, adjoint, right, by_common[node], diagonal[node], border[node], corner)
-        else:
+                    rows[i, q - 1] += moves[i]
+                known = True
+        first, seen, end = factors.starts[2 * k], factors.starts[2 * k + 1], factors.starts[2 * k + 2]
+        if not off:
+            seen = end
+        if seen > first:
+            own, towards, left = _known(factors, first, seen, (x, y, heading, cos, sin), square2, bend)
+            cost += left
             for i in range(3):
                 for j in range(3):
-                    diagonal[node, i, j] += information[i, j]
-                border[node, i, q - 1] += towards[i]
+                    diagonal[k, i, j] += own[3 * i + j]
+                border[k, i, q - 1] += towards[i]
+        if end > seen:
+            velocity: Numbers = (0.0, 0.0, 0.0)
+            inverse: Numbers = right
+            per_s = 0.0
+            if len(moved):
+                velocity, inverse = _log(at_x, at_y, at_turn)
+                per_s = 1.0 / durations_s[m]
+                velocity = (velocity[0] * per_s, velocity[1] * per_s, velocity[2] * per_s)
+            x1, y1, turn, turn_cos, turn_sin, turning = _exp(
+                sensor[0] - sensor[3] * velocity[0],
+                sensor[1] - sensor[3] * velocity[1],
+                -sensor[2] - sensor[3] * velocity[2],
+            )
+            there_x, there_y = x + cos * x1 - sin * y1, y + sin * x1 + cos * y1
+            there_cos, there_sin = cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin
+            there = (there_x, there_y, heading + turn, there_cos, there_sin)
+            information, pull, left = _known(factors, seen, end, there, square2, bend)
+            cost += left
+            adjoint = (turn_cos, turn_sin, turn_sin * x1 - turn_cos * y1, turn_cos * x1 + turn_sin * y1)
+            own, towards = _under(adjoint, _times(information, adjoint)), _under_vector(adjoint, pull)
+            for i in range(3):
+                for j in range(3):
+                    diagonal[k, i, j] += own[3 * i + j]
+                border[k, i, q - 1] += towards[i]
+            if q > 1:
+                weighted = _times(information, turning)
+                by_pose, by_turn = _under(adjoint, weighted), _under(turning, weighted)
+                pull = _under_vector(turning, pull)
+                # the velocity's change with the calibration, and with it the tangent's
+                changes, late = _product(inverse, right), -sensor[3] * per_s
+                by_both, by_motion = _times(by_pose, changes), _under(changes, _times(by_turn, changes))
+                lever[0, 0], lever[1, 1], lever[2, 2] = free[0], free[1], -free[2]
+                for i in range(3):
+                    lever[i, 3] = -velocity[i] * free[3]
+                    by_sensor[i, 4] = pull[i]
+                for j in range(4):
+                    column = (lever[0, j], lever[1, j], lever[2, j])
+                    change, alone = _vector(by_pose, column), _vector(by_turn, column)
+                    for i in range(3):
+                        border[k, i, c + j] += change[i]
+                        by_sensor[i, j] = alone[i]
+                for i in range(4):
+                    for j in range(5):
+                        for r in range(3):
+                            corner[c + i, c + j] += lever[r, i] * by_sensor[r, j]
+                if late != 0.0:
+                    known = True
+                    for j in range(c):
+                        column = (
+                            late * by_calibration[m, 0, j],
+                            late * by_calibration[m, 1, j],
+                            late * by_calibration[m, 2, j],
+                        )
+                        change, alone = _vector(by_both, column), _vector(by_motion, column)
+                        for i in range(3):
+                            border[k, i, j] += change[i]
+                            rows[i, j] += late * alone[i]
+                    for j in range(5):
+                        alone = _under_vector(changes, (by_sensor[0, j], by_sensor[1, j], by_sensor[2, j]))
+                        for i in range(3):
+                            rows[i, c + j] += late * alone[i]
+        if known:
+            for i in range(c):
+                one, two, three = by_calibration[m, 0, i], by_calibration[m, 1, i], by_calibration[m, 2, i]
+                for j in range(q):
+                    corner[i, j] += one * rows[0, j] + two * rows[1, j] + three * rows[2, j]
     return cost
 
 
 @compiled
-def _add_seen(
-    information: FloatArray,
-    towards: FloatArray,
-    adjoint: FloatArray,
-    right: FloatArray,
-    by_common: FloatArray,
-    diagonal: FloatArray,
-    border: FloatArray,
-    corner: FloatArray,
-) -> None:
-    """Adds what is known of a pose that was seen from to the node's blocks: by the tangent there it moves as `adjoint`
-    (3, 3) with the node's, as right @ by_common (3, c) with the border."""
-    columns, q = by_common.shape[1], border.shape[1]
-    for r in range(3):
-        for i in range(3):
-            value = 0.0
-            for m in range(3):
-                value += information[r, m] * adjoint[m, i]
-            for j in range(3):
-                diagonal[j, i] += adjoint[r, j] * value
-        for j in range(3):
-            border[j, q - 1] += adjoint[r, j] * towards[r]
-    for i in range(columns):
-        a = right[0, 0] * by_common[0, i] + right[0, 1] * by_common[1, i] + right[0, 2] * by_common[2, i]
-        b = right[1, 0] * by_common[0, i] + right[1, 1] * by_common[1, i] + right[1, 2] * by_common[2, i]
-        c = by_common[2, i]
-        d = information[0, 0] * a + information[0, 1] * b + information[0, 2] * c
-        e = information[1, 0] * a + information[1, 1] * b + information[1, 2] * c
-        f = information[2, 0] * a + information[2, 1] * b + information[2, 2] * c
-        for j in range(3):
-            border[j, i] += adjoint[0, j] * d + adjoint[1, j] * e + adjoint[2, j] * f
-        # back into the tangent of by_common
-        g, h = right[0, 0] * d + right[1, 0] * e, right[0, 1] * d + right[1, 1] * e
-        k = right[0, 2] * d + right[1, 2] * e + f
-        for j in range(i, columns):
-            corner[i, j] += g * by_common[0, j] + h * by_common[1, j] + k * by_common[2, j]
-        corner[i, q - 1] += a * towards[0] + b * towards[1] + c * towards[2]
+def _known(
+    factors: Factors, first: int, end: int, pose: Numbers, square2: float, bend: float
+) -> tuple[Numbers, Numbers, float]:
+    """What some factors say of the pose that they are about: information (9,), towards (3,), what is left of them."""
+    x, y, heading, cos, sin = pose
+    i00 = i10 = i11 = i20 = i21 = i22 = towards0 = towards1 = towards2 = cost = 0.0
+    product = 1.0
+    for f in range(first, end):
+        kind, value = factors.kinds[f], factors.values[f]
+        information = _symmetric(factors.informations[f])
+        if kind == POSE:
+            dx, dy = x - value[0], y - value[1]
+            error, after = _log(
+                value[3] * dx + value[4] * dy, value[3] * dy - value[4] * dx, _wrapped(heading - value[2])
+            )
+            pull = _vector(information, error)
+            square = pull[0] * error[0] + pull[1] * error[1] + pull[2] * error[2]
+            pull0, pull1, pull2 = _under_vector(after, pull)
+            a00, _, _, a10, a11, _, a20, a21, a22 = _under(after, _times(information, after))
+        elif kind == LANDMARK:
+            dx, dy = value[0] - x, value[1] - y
+            forward, left = cos * dx + sin * dy, cos * dy - sin * dx
+            dx, dy = forward - value[2], left - value[3]
+            a00, a10, a11 = information[0], information[3], information[4]
+            pull0, pull1 = -a00 * dx - a10 * dy, -a10 * dx - a11 * dy
+            square = -pull0 * dx - pull1 * dy
+            pull2 = forward * pull1 - left * pull0
+            a20, a21 = a10 * forward - a00 * left, a11 * forward - a10 * left
+            a22 = a21 * forward - a20 * left
+        else:
+            turn = _wrapped(heading - value[0])
+            a00 = a10 = a11 = a20 = a21 = pull0 = pull1 = 0.0
+            a22 = information[0]
+            pull2 = a22 * turn
+            square = pull2 * turn
+            if kind == LINE:
+                ahead, aside = value[2] * cos + value[3] * sin, value[3] * cos - value[2] * sin
+                offset = value[2] * x + value[3] * y - value[1]
+                pull1 = information[3] * turn + information[4] * offset
+                pull2 += information[3] * offset
+                square = pull2 * turn + pull1 * offset
+                pull0, pull1 = ahead * pull1, aside * pull1
+                a00, a10, a11 = ahead * ahead, ahead * aside, aside * aside
+                a00, a10, a11 = information[4] * a00, information[4] * a10, information[4] * a11
+                a20, a21 = information[3] * ahead, information[3] * aside
+        product *= 1.0 + square / square2
+        if product > _LARGE:
+            cost, product = cost + math.log(product), 1.0
+        weight = square2 / (square2 + square)
+        less = 0.0
+        if bend > 0.0 and square > 0.0:
+            less = min(2.0 / square2, bend / (weight * square))
+        pull0, pull1, pull2 = weight * pull0, weight * pull1, weight * pull2
+        i00 += weight * a00 - less * pull0 * pull0
+        i10 += weight * a10 - less * pull1 * pull0
+        i11 += weight * a11 - less * pull1 * pull1
+        i20 += weight * a20 - less * pull2 * pull0
+        i21 += weight * a21 - less * pull2 * pull1
+        i22 += weight * a22 - less * pull2 * pull2
+        towards0, towards1, towards2 = towards0 - pull0, towards1 - pull1, towards2 - pull2
+    cost = 0.5 * square2 * (cost + math.log(product))
+    return (i00, i10, i20, i10, i11, i21, i20, i21, i22), (towards0, towards1, towards2), cost
+
+
+@compiled
+def _symmetric(lower: FloatArray) -> Numbers:
+    return lower[0], lower[1], lower[3], lower[1], lower[2], lower[4], lower[3], lower[4], lower[5]
+
+
+@compiled
+def _vector(matrix: Numbers, v: Numbers) -> Numbers:
+    return (
+        matrix[0] * v[0] + matrix[1] * v[1] + matrix[2] * v[2],
+        matrix[3] * v[0] + matrix[4] * v[1] + matrix[5] * v[2],
+        matrix[6] * v[0] + matrix[7] * v[1] + matrix[8] * v[2],
+    )
+
+
+@compiled
+def _product(one: Numbers, other: Numbers) -> Numbers:
+    """Of affine ones."""
+    a, b, x, y = one
+    c, d, z, w = other
+    return a * c - b * d, a * d + b * c, a * z + b * w + x, a * w - b * z + y
+
+
+@compiled
+def _times(matrix: Numbers, affine: Numbers) -> Numbers:
+    a, b, x, y = affine
+    r, s, t, u, v, w, i, j, k = matrix
+    return (
+        a * r - b * s,
+        b * r + a * s,
+        x * r + y * s + t,
+        a * u - b * v,
+        b * u + a * v,
+        x * u + y * v + w,
+        a * i - b * j,
+        b * i + a * j,
+        x * i + y * j + k,
+    )
+
+
+@compiled
+def _under(affine: Numbers, matrix: Numbers) -> Numbers:
+    """transpose(affine) @ matrix."""
+    a, b, x, y = affine
+    r, s, t, u, v, w, i, j, k = matrix
+    return (
+        a * r - b * u,
+        a * s - b * v,
+        a * t - b * w,
+        b * r + a * u,
+        b * s + a * v,
+        b * t + a * w,
+        x * r + y * u + i,
+        x * s + y * v + j,
+        x * t + y * w + k,
+    )
+
+
+@compiled
+def _under_vector(affine: Numbers, v: Numbers) -> Numbers:
+    """transpose(affine) @ v."""
+    a, b, x, y = affine
+    return a * v[0] - b * v[1], b * v[0] + a * v[1], x * v[0] + y * v[1] + v[2]
 
 
 @compiled
 def _wrapped(angle: float) -> float:
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+    return angle - 2.0 * math.pi * math.floor(angle * (0.5 / math.pi) + 0.5)
 
 
 @compiled
-def _composed(
-    x: float, y: float, heading: float, forward: float, left: float, turn: float
-) -> tuple[float, float, float]:
-    c, s = math.cos(heading), math.sin(heading)
-    return x + c * forward - s * left, y + s * forward + c * left, _wrapped(heading + turn)
+def _half(half: float) -> tuple[float, float]:
+    """Cosine, and sine by the angle."""
+    if abs(half) > _SHORT_RAD:
+        return math.cos(half), math.sin(half) / half
+    h = half * half
+    cosine = 1.0 - h / 2.0 * (1.0 - h / 12.0 * (1.0 - h / 30.0 * (1.0 - h / 56.0 * (1.0 - h / 90.0))))
+    return cosine, 1.0 - h / 6.0 * (1.0 - h / 20.0 * (1.0 - h / 42.0 * (1.0 - h / 72.0 * (1.0 - h / 110.0))))
 
 
 @compiled
-def _between(
-    x: float, y: float, heading: float, other_x: float, other_y: float, other_heading: float
-) -> tuple[float, float, float]:
-    c, s = math.cos(heading), math.sin(heading)
-    dx, dy = other_x - x, other_y - y
-    return c * dx + s * dy, c * dy - s * dx, _wrapped(other_heading - heading)
+def _cos_sin(angle: float) -> tuple[float, float]:
+    cosine, chord = _half(angle)
+    return cosine, chord * angle
 
 
 @compiled
-def _exp(forward: float, left: float, turn: float, right: FloatArray) -> tuple[float, float, float]:
-    """As se2.exp; the right Jacobian there goes to `right`."""
-    half = 0.5 * turn
-    chord = 1.0 if half == 0.0 else math.sin(half) / half
-    a, b = chord * math.cos(half), chord * math.sin(half)
+def _exp(forward: float, left: float, turn: float) -> tuple[float, float, float, float, float, Numbers]:
+    """As se2.exp: the pose, its heading's cosine and sine, and the right Jacobian there."""
+    cosine, chord = _half(0.5 * turn)
+    a, b = chord * cosine, 0.5 * turn * chord * chord
     p = turn / 6.0 if abs(turn) < _SMALL_ANGLE_RAD else (1.0 - a) / turn
     q = 0.5 * chord * chord
-    _affine(a, b, p * forward - q * left, q * forward + p * left, right)
-    return a * forward - b * left, b * forward + a * left, _wrapped(turn)
+    x, y = a * forward - b * left, b * forward + a * left
+    return x, y, _wrapped(turn), 1.0 - turn * b, turn * a, (a, b, p * forward - q * left, q * forward + p * left)
 
 
 @compiled
-def _log(x: float, y: float, turn: float, error: FloatArray, jacobian: FloatArray) -> None:
-    """As se2.log, of a wrapped turn; the inverse right Jacobian there goes to `jacobian`."""
+def _log(x: float, y: float, turn: float) -> tuple[Numbers, Numbers]:
+    """As se2.log, of a wrapped turn: the tangent, and the inverse right Jacobian there."""
     half = 0.5 * turn
-    along = 1.0 if half == 0.0 else half * math.cos(half) / math.sin(half)
+    cosine, chord = _half(half)
+    along = cosine / chord
     forward, left = along * x + half * y, along * y - half * x
-    error[0], error[1], error[2] = forward, left, turn
     r = turn / 12.0 if abs(turn) < _SMALL_ANGLE_RAD else (1.0 - along) / turn
-    _affine(along, -half, r * forward + 0.5 * left, r * left - 0.5 * forward, jacobian)
-
-
-@compiled
-def _affine(a: float, b: float, x: float, y: float, out: FloatArray) -> None:
-    out[0, 0] = out[1, 1] = a
-    out[0, 1], out[1, 0] = b, -b
-    out[0, 2], out[1, 2] = x, y
-    out[2, 0] = out[2, 1] = 0.0
-    out[2, 2] = 1.0
+    return (forward, left, turn), (along, -half, r * forward + 0.5 * left, r * left - 0.5 * forward)

@@ -16,7 +16,7 @@ class InArrays:
     def add_all(self, blocks: Blocks, poses: FloatArray, common: FloatArray, bend: float) -> float:
         p = len(blocks.corner) - 1
         rows = self._linearised.motions(poses, common)
-        border = np.concatenate([rows.by_globals[:, :, :p], rows.towards[..., None]], axis=-1)
+        border = self._border(rows.by_globals, rows.towards, p)
         before, after = np.swapaxes(rows.before, 1, 2), np.swapaxes(rows.after, 1, 2)
         blocks.diagonal[:-1, :3, :3] += before @ rows.before
         blocks.diagonal[1:, :3, :3] += after @ rows.after
@@ -27,7 +27,7 @@ class InArrays:
         blocks.corner[:] += flat.T @ flat
         weak, *groups = self._linearised.factors(poses, common)
         for group in (weak, *groups):
-            border = np.concatenate([group.by_globals[:, :, :p], group.towards[..., None]], axis=-1)
+            border = self._border(group.by_globals, group.towards, p)
             by_pose = np.swapaxes(group.by_pose, 1, 2)
             _add_at(blocks.diagonal[:, :3, :3], group.nodes, by_pose @ group.by_pose)
             _add_at(blocks.border[:, :3], group.nodes, by_pose @ border)
@@ -37,11 +37,19 @@ class InArrays:
                 square = np.maximum(np.sum(group.towards**2, axis=-1), 1e-300)
                 less = np.sqrt(np.minimum(2.0 / self._cauchy**2, bend / square))[:, None, None]
                 pull = less * (by_pose @ group.towards[..., None])
-                across = less * (np.swapaxes(group.by_globals[:, :, :p], 1, 2) @ group.towards[..., None])
+                across = less * (np.swapaxes(border[:, :, :p], 1, 2) @ group.towards[..., None])
                 _add_at(blocks.diagonal[:, :3, :3], group.nodes, -pull @ np.swapaxes(pull, 1, 2))
                 _add_at(blocks.border[:, :3, :p], group.nodes, -pull @ np.swapaxes(across, 1, 2))
                 blocks.corner[:p, :p] -= across[..., 0].T @ across[..., 0]
         return self._linearised.error(poses, common)
+
+    def _border(self, by_globals: FloatArray, towards: FloatArray, p: int) -> FloatArray:
+        """(k, m, p + 1): a column for each of all globals, or for none."""
+        out = np.zeros((*towards.shape, p + 1))
+        if p:
+            out[:, :, np.flatnonzero(self._linearised.free)] = by_globals
+        out[:, :, p] = towards
+        return out
 
     def solve(self, blocks: Blocks, damping: float) -> tuple[FloatArray, FloatArray]:
         return cyclic.solve(blocks, damping)

@@ -6,63 +6,51 @@ from estimators.chain_engine import fused, sweep
 from estimators.chain_engine.blocks import Blocks, Marginals
 from estimators.linearised import Group, Linearised
 from estimators.motion import CALIBRATION
-from estimators.sensor import LEVER_BY_VELOCITY, lever
 from fieldloc.pose import FloatArray
 from fieldloc.stacks import HeadingStack, LandmarkStack, LineStack, PoseStack
 
 _NONE = np.zeros(0, dtype=np.intp)
-_STILL = lever(np.zeros(3))
 
 
 class InNumba:
     def __init__(self, linearised: Linearised, cauchy: float) -> None:
-        self._linearised, self._cauchy = linearised, cauchy
-        odometry, sensor = np.split(linearised.free, [CALIBRATION])
-        self._by_common = np.ascontiguousarray(linearised.by_calibration[:, :, odometry])
-        self._sensor = np.flatnonzero(sensor)
+        self._linearised, self._square2 = linearised, cauchy**2
+        odometry, sensor = np.split(linearised.free.astype(np.float64), [CALIBRATION])
+        self._free = sensor
+        self._motions = fused.Motions(
+            linearised.moved,
+            _informations(linearised.motion_roots),
+            linearised.by_calibration * odometry[None, None],
+            linearised.durations_s,
+        )
         groups = linearised.groups
         tables = [_table(group) for group in groups]
-        nodes = np.concatenate([_NONE, *(group.nodes for group in groups)])
-        by_sight = np.concatenate([_NONE, *(group.sighted for group in groups)])
-        order = np.argsort(2 * nodes + by_sight, kind="stable")
-        self._nodes, self._sighted = nodes[order], by_sight[order]
-        self._kinds = np.concatenate([_NONE, *(np.full(len(values), kind) for kind, values, _ in tables)])[order]
-        self._values = np.concatenate([np.zeros((0, 4)), *(values for _, values, _ in tables)])[order]
-        self._roots = np.concatenate([np.zeros((0, 3, 3)), *(roots for _, _, roots in tables)])[order]
+        keys = np.concatenate([_NONE, *(2 * group.nodes + group.sighted for group in groups)])
+        order = np.argsort(keys, kind="stable")
+        kinds = (np.full(len(values), kind) for kind, values in tables)
+        informations = (_informations(group.whiteners) for group in groups)
+        self._factors = fused.Factors(
+            np.searchsorted(keys[order], np.arange(2 * linearised.count + 1)),
+            np.concatenate([_NONE, *kinds])[order],
+            np.concatenate([np.zeros((0, 5)), *(values for _, values in tables)])[order],
+            np.concatenate([np.zeros((0, 6)), *informations])[order],
+        )
 
     def add_all(self, blocks: Blocks, poses: FloatArray, common: FloatArray, bend: float) -> float:
-        one, whole = self._linearised, len(blocks.corner) > 1
+        one = self._linearised
         calibration, sensor = np.split(common, [CALIBRATION])
-        miscalibrated = one.by_calibration @ calibration
-        by_common, free = (self._by_common, self._sensor) if whole else (self._by_common[:, :, :0].copy(), _NONE)
-        turned, by_sight = np.zeros((0, 3)), np.zeros((0, 3, 0))
-        if sensor.any() or len(free):
-            turned, by_sight = fused.sights(
-                one.moved, miscalibrated, by_common, one.durations_s, _STILL, LEVER_BY_VELOCITY, sensor, free
-            )
-        cost = fused.add_motions(
+        cost = fused.add_all(
             poses,
-            one.moved,
-            miscalibrated,
-            one.motion_roots,
-            by_common,
+            self._motions,
+            one.by_calibration @ calibration,
+            self._factors,
+            sensor,
+            self._free,
+            self._square2,
+            bend,
+            blocks.columns,
             blocks.diagonal,
             blocks.following,
-            blocks.border,
-            blocks.corner,
-        )
-        cost += fused.add_factors(
-            poses,
-            self._nodes,
-            self._kinds,
-            self._sighted,
-            self._values,
-            self._roots,
-            turned,
-            by_sight,
-            self._cauchy,
-            bend,
-            blocks.diagonal,
             blocks.border,
             blocks.corner,
         )
@@ -82,22 +70,32 @@ class InNumba:
         return sweep.marginals(blocks)
 
 
-def _table(group: Group) -> tuple[int, FloatArray, FloatArray]:
-    """Kind, values (k, 4) and whiteners (k, 3, 3) as `fused` knows them."""
-    count, size, _ = group.whiteners.shape
-    values, roots = np.zeros((count, 4)), np.zeros((count, 3, 3))
-    roots[:, :size, :size] = group.whiteners
+def _table(group: Group) -> tuple[int, FloatArray]:
+    """Kind and values (k, 5) as `fused` knows them."""
     match group.stack:
         case PoseStack():
-            kind, columns = fused.POSE, [group.stack.poses[:, 0]]
+            heading = group.stack.poses[:, 0, 2:]
+            kind, columns = fused.POSE, [group.stack.poses[:, 0], np.cos(heading), np.sin(heading)]
         case LandmarkStack():
             kind, columns = fused.LANDMARK, [group.stack.landmarks[:, 0], group.stack.seen[:, 0]]
         case HeadingStack():
             kind, columns = fused.HEADING, [group.stack.heading_rad]
         case LineStack():
-            kind, columns = fused.LINE, [group.stack.heading_rad, group.stack.normal_rad, group.stack.offset_m]
+            normal = group.stack.normal_rad
+            kind = fused.LINE
+            columns = [group.stack.heading_rad, group.stack.offset_m, np.cos(normal), np.sin(normal)]
         case other:
             raise TypeError(f"no way to solve for a {type(other).__name__}")
+    values = np.zeros((len(group.nodes), 5))
     filled = np.concatenate(columns, axis=1)
     values[:, : filled.shape[1]] = filled
-    return kind, values, roots
+    return kind, values
+
+
+def _informations(whiteners: FloatArray) -> FloatArray:
+    """(k, 6) lower triangles, row by row, of transpose(whitener) @ whitener, whiteners (k, m, m); zeros beyond."""
+    out = np.zeros((len(whiteners), 6))
+    whole = np.swapaxes(whiteners, 1, 2) @ whiteners
+    for column, (i, j) in enumerate(zip(*np.tril_indices(whiteners.shape[1]), strict=True)):
+        out[:, column] = whole[:, i, j]
+    return out

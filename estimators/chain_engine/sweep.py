@@ -15,55 +15,69 @@ from fieldloc.pose import FloatArray
 
 def solve(blocks: Blocks, damping: float) -> tuple[FloatArray, FloatArray]:
     """Blocks (n, d) and border (p,). damping: added to the diagonal of the blocks."""
-    lower, rows, corner = _eliminated(blocks, damping)
+    lower, links, rows, corner = _eliminated(blocks, damping)
     border = np.asarray(np.linalg.solve(corner[:-1, :-1], corner[:-1, -1]), dtype=np.float64)
-    return _substitute(lower, rows, border), border
+    return _substitute(lower, links, rows, border, blocks.rows, blocks.columns), border
 
 
 def marginals(blocks: Blocks) -> Marginals:
-    lower, rows, corner = _eliminated(blocks, 0.0)
+    lower, links, rows, corner = _eliminated(blocks, 0.0)
     border = np.asarray(np.linalg.inv(corner[:-1, :-1]), dtype=np.float64)
+    step = border @ corner[:-1, -1]
     log_determinant = np.linalg.slogdet(corner[:-1, :-1])[1] - 2.0 * np.sum(
         np.log(np.diagonal(lower, axis1=1, axis2=2))
     )
-    return Marginals(*_covariances(lower, rows, border), border, float(log_determinant))
+    return Marginals(
+        *_covariances(lower, links, rows, border, blocks.rows, blocks.columns),
+        border,
+        float(log_determinant),
+        _substitute(lower, links, rows, step, blocks.rows, blocks.columns),
+        step,
+    )
 
 
-def _eliminated(blocks: Blocks, damping: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    lower, rows, corner, good = _eliminate(blocks.diagonal, blocks.following, blocks.border, blocks.corner, damping)
+def _eliminated(blocks: Blocks, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    *parts, good = _eliminate(
+        blocks.diagonal, blocks.following, blocks.border, blocks.corner, damping, blocks.rows, blocks.columns
+    )
     if not good:
         raise IndefiniteError("nothing is known of a pose in some direction")
-    return lower, rows, corner
+    lower, links, rows, corner = parts
+    return lower, links, rows, corner
 
 
 @compiled
 def _eliminate(
-    diagonal: FloatArray, following: FloatArray, border: FloatArray, corner: FloatArray, damping: float
-) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-    """L (n, d, d), the inverse in place of its diagonal; Y (n, d, d + p + 1); what is left of the corner; whether all
-    went well."""
-    n, d, q = border.shape
-    lower, rows, left = np.empty((n, d, d)), np.empty((n, d, d + q)), corner.copy()
+    diagonal: FloatArray,
+    following: FloatArray,
+    border: FloatArray,
+    corner: FloatArray,
+    damping: float,
+    sizes: tuple[int, ...],
+    columns: tuple[int, ...],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, bool]:
+    """L (n, d, d), the inverse in place of its diagonal; Y's columns of the next block (n, d, d) and of the border and
+    the right-hand side (n, d, p + 1); what is left of the corner; whether all went well."""
+    n, d, q = len(diagonal), len(sizes), len(columns) + 1
+    lower, links, rows, left = np.empty((n, d, d)), np.zeros((n, d, d)), np.empty((n, d, q)), corner.copy()
     good = True
     for k in range(n):
-        chol, row = lower[k], rows[k]
+        chol, link, row = lower[k], links[k], rows[k]
         for i in range(d):
             for j in range(i + 1):
                 chol[i, j] = diagonal[k, i, j]
             chol[i, i] += damping
-            for j in range(d):
-                row[i, j] = following[k, i, j] if k < n - 1 else 0.0
             for j in range(q):
-                row[i, d + j] = border[k, i, j]
+                row[i, j] = border[k, i, j]
         if k > 0:
-            before = rows[k - 1]
+            before, row_before = links[k - 1], rows[k - 1]
             for m in range(d):
                 for i in range(d):
                     factor = before[m, i]
                     for j in range(i + 1):
                         chol[i, j] -= factor * before[m, j]
                     for j in range(q):
-                        row[i, d + j] -= factor * before[m, d + j]
+                        row[i, j] -= factor * row_before[m, j]
         for j in range(d):
             for m in range(j):
                 for i in range(j, d):
@@ -72,37 +86,48 @@ def _eliminate(
             chol[j, j] = 1.0 / np.sqrt(chol[j, j]) if good else 1.0
             for i in range(j + 1, d):
                 chol[i, j] *= chol[j, j]
+        if k < n - 1:
+            for i in range(d):
+                for j in range(d):
+                    link[i, j] = following[k, i, j]
         for i in range(d):
             for m in range(i):
                 factor = chol[i, m]
-                for j in range(d + q):
+                for j in range(d):
+                    link[i, j] -= factor * link[m, j]
+                for j in range(q):
                     row[i, j] -= factor * row[m, j]
-            for j in range(d + q):
+            for j in range(d):
+                link[i, j] *= chol[i, i]
+            for j in range(q):
                 row[i, j] *= chol[i, i]
-        for m in range(d):
-            for i in range(q):
-                factor = row[m, d + i]
-                for j in range(i, q):
-                    left[i, j] -= factor * row[m, d + j]
-    for i in range(q):
-        for j in range(i):
-            left[i, j] = left[j, i]
-    return lower, rows, left, good
+        for i in range(q):
+            for m in range(d):
+                factor = row[m, i]
+                for j in range(q):
+                    left[i, j] -= factor * row[m, j]
+    return lower, links, rows, left, good
 
 
 @compiled
-def _substitute(lower: FloatArray, rows: FloatArray, border: FloatArray) -> FloatArray:
-    n, d, _ = lower.shape
-    p = len(border)
+def _substitute(
+    lower: FloatArray,
+    links: FloatArray,
+    rows: FloatArray,
+    border: FloatArray,
+    sizes: tuple[int, ...],
+    columns: tuple[int, ...],
+) -> FloatArray:
+    n, d, p = len(lower), len(sizes), len(columns)
     out = np.empty((n, d))
     for k in range(n - 1, -1, -1):
         for i in range(d - 1, -1, -1):
-            value = rows[k, i, d + p]
+            value = rows[k, i, p]
             for j in range(p):
-                value -= rows[k, i, d + j] * border[j]
+                value -= rows[k, i, j] * border[j]
             if k < n - 1:
                 for j in range(d):
-                    value -= rows[k, i, j] * out[k + 1, j]
+                    value -= links[k, i, j] * out[k + 1, j]
             for j in range(i + 1, d):
                 value -= lower[k, j, i] * out[k, j]
             out[k, i] = value * lower[k, i, i]
@@ -110,10 +135,16 @@ def _substitute(lower: FloatArray, rows: FloatArray, border: FloatArray) -> Floa
 
 
 @compiled
-def _covariances(lower: FloatArray, rows: FloatArray, border: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _covariances(
+    lower: FloatArray,
+    links: FloatArray,
+    rows: FloatArray,
+    border: FloatArray,
+    sizes: tuple[int, ...],
+    columns: tuple[int, ...],
+) -> tuple[FloatArray, FloatArray]:
     """Of each block, and with the next. border: (p, p) its covariance."""
-    n, d, _ = lower.shape
-    p = len(border)
+    n, d, p = len(lower), len(sizes), len(columns)
     out, following = np.zeros((n, d, d)), np.zeros((max(n - 1, 0), d, d))
     alone = np.zeros((d, d))  # covariance of the block that came last, were the border known
     by_next, by_border = np.empty((d, d)), np.zeros((d, p))  # change of the block with the next and with the border
@@ -135,12 +166,12 @@ def _covariances(lower: FloatArray, rows: FloatArray, border: FloatArray) -> tup
             for j in range(d):
                 value = 0.0
                 for m in range(i, d):
-                    value -= inverse[i, m] * rows[k, m, j]
+                    value -= inverse[i, m] * links[k, m, j]
                 by_next[i, j] = value
             for j in range(p):
                 value = 0.0
                 for m in range(i, d):
-                    value -= inverse[i, m] * rows[k, m, d + j]
+                    value -= inverse[i, m] * rows[k, m, j]
                 by_border[i, j] = value
         if k < n - 1:
             for i in range(d):
