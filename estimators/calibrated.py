@@ -19,7 +19,17 @@ _NEXT_TIME = 0.1  # of the prior's sigma: a robot is not quite the same the next
 _ODOMETRY = len(OdometryCalibration._fields)
 _DELAY = _ODOMETRY + SensorCalibration._fields.index("delay_s")
 _PLACE = slice(_ODOMETRY, _ODOMETRY + 2)
-_UNITS = {"_rad_per_m": "rad/m", "_radps": "rad/s", "_mps": "m/s", "_rad": "rad", "_s": "s", "_m": "m"}
+_UNITS = {
+    "_m_per_sqrt_m": "m/sqrt(m)",
+    "_rad_per_sqrt_rad": "rad/sqrt(rad)",
+    "_rad_per_sqrt_m": "rad/sqrt(m)",
+    "_rad_per_m": "rad/m",
+    "_radps": "rad/s",
+    "_mps": "m/s",
+    "_rad": "rad",
+    "_s": "s",
+    "_m": "m",
+}
 
 _NAMES = (*OdometryCalibration._fields, *SensorCalibration._fields)
 

@@ -102,9 +102,9 @@ class Ekf:
         return self._seen(self._views.sight(self._extra, self._filter.P[3:, 3:]))
 
     @property
-    def motion_scales(self) -> FloatArray:
-        """(2,) by how much the odometry is noisier than was thought, in variances along the way and of turns."""
-        return self._legs.scales
+    def legs(self) -> Legs:
+        """What has been learned of the odometry's noise."""
+        return self._legs
 
     @property
     def learned(self) -> tuple[FloatArray, FloatArray]:

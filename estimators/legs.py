@@ -55,6 +55,11 @@ class Legs:
         """(PARTS,) by how much the variances are larger than was thought."""
         return self._scales
 
+    @property
+    def learned(self) -> tuple[FloatArray, FloatArray]:
+        """Logarithms of the scales (PARTS,), and their information (PARTS, PARTS), what was thought before in it."""
+        return self._logs, self._information
+
     def begin(self, pose: FloatArray, covariance: FloatArray, calibration: FloatArray) -> None:
         """covariance: (3 + n, 3 + n) or larger of the pose's tangent (3,) and the calibration (n,)."""
         size = 3 + len(calibration)

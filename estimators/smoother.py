@@ -10,7 +10,7 @@ from estimators.chain import ChainRecorder, Recorded
 from estimators.config import Config
 from estimators.ekf import Ekf
 from estimators.engines import solver
-from estimators.legs import as_noisy
+from estimators.legs import Legs, as_noisy
 from estimators.mixture.filter import MixtureFilter
 from estimators.mixture.lost import UNKNOWN
 from estimators.modes import ModeSequence
@@ -121,6 +121,11 @@ class Smoother:
             return ()
         return self.resolution.ambiguities(self._stamps_ns)
 
+    @property
+    def legs(self) -> Legs:
+        """What the way ahead has taught of the odometry's noise."""
+        return self._filter.legs
+
     def relearn(self, relearned: Callable[[MixtureFactor], MixtureFactor]) -> None:
         """Take all mixtures as they are by what has been learned of the sensors since."""
         self._recorder.relearn(relearned)
@@ -130,7 +135,7 @@ class Smoother:
         self._tell()
         self._recorder.move(self._said.motions(self._recorder.stamps_ns))
         recorded = self._recorder.recorded()
-        recorded = replace(recorded, motions=as_noisy(recorded.motions, self._filter.motion_scales))
+        recorded = replace(recorded, motions=as_noisy(recorded.motions, self._filter.legs.scales))
         self.resolution = None
         if recorded.mixtures and self._bank is not None:
             recorded, sequences = self._with_start(recorded, self._bank.sequences(_READINGS))
@@ -142,7 +147,7 @@ class Smoother:
             chain = self._recorder.chain(self._ahead.carried_ns)
             if chain is None:
                 return ()
-            chain = replace(chain, motions=as_noisy(chain.motions, self._filter.motion_scales))
+            chain = replace(chain, motions=as_noisy(chain.motions, self._filter.legs.scales))
             self.solution = solver(self._config)(chain, self._config, None)
         covariances = se2.rotate_covariance(self.solution.covariances, self.solution.poses[:, 2])
         out = tuple(map(Estimate, recorded.stamps_ns, self.solution.poses, covariances))

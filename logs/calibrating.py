@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from estimators.calibrated import Quantity, RobotCalibration, calibrated, known_section
+from estimators.calibrated_noise import calibrated_noise, known_noise
 from estimators.config import Config
+from estimators.legs import Legs
 from estimators.sensor import seen_from
 from estimators.smoother import Smoother
 from estimators.solution import Solution
@@ -27,17 +29,20 @@ from logs.replay import Recording, load_recording, replay
 from logs.table import NOTHING, Cell, Table
 from logs.table_text import format_columns
 
-_OF_WHAT = {"mount": "camera", "scan_distortion": "scans'"}
+_SECTIONS = ("calibration", "sensor", "motion", "scan_distortion", "mount")
+_OF_WHAT = {"mount": "camera", "motion": "noise", "scan_distortion": "scans'"}
 _MOST_IMAGES = 1000  # of all logs, evenly; neighbours say much the same
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedRobot:
-    """logs: names of those that it is from. scans: of the sensor that scans, where there is one. mount: of the camera,
-    where there are images. warnings: what is wrong with the logs."""
+    """logs: names of those that it is from. noise: of its odometry, where that does not state it. scans: of the sensor
+    that scans, where there is one. mount: of the camera, where there are images. warnings: what is wrong with the logs.
+    """
 
     logs: tuple[str, ...]
     robot: RobotCalibration
+    noise: tuple[Quantity, ...]
     scans: tuple[Quantity, ...]
     mount: tuple[Quantity, ...]
     wobble: tuple[float, ...]
@@ -45,11 +50,13 @@ class CalibratedRobot:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        return (*self.robot.quantities, self.robot.late, *self.scans, *self.mount)
+        return (*self.robot.quantities, self.robot.late, *self.noise, *self.scans, *self.mount)
 
     def settings(self, config: Config) -> Config:
         """The settings with what is known now."""
         known = self.robot.settings(config)
+        if self.noise:
+            known = replace(known, motion=known_noise(config.motion, self.noise))
         if self.scans:
             values, sigmas = zip(*((one.value, one.next_sigma) for one in self.scans), strict=True)
             known = replace(known, scan_distortion=known_section(config.scan_distortion, values, sigmas))
@@ -70,6 +77,7 @@ class _Views:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
     solution: Solution
+    legs: Legs
     views: _Views
     sensors: tuple[LearnedNoise, ...]
     warnings: tuple[str, ...]
@@ -113,7 +121,8 @@ def calibrate_recordings(
     wobble = () if fit is None else tuple(fit.wobble.tolist())
     warnings = [warning for one in solved for warning in one.warnings]
     scans = _scans(config, learned)
-    return CalibratedRobot(tuple(one.name for one in whole), robot, scans, quantities, wobble, tuple(warnings))
+    noise = calibrated_noise([one.legs for one in solved], config.motion)
+    return CalibratedRobot(tuple(one.name for one in whole), robot, noise, scans, quantities, wobble, tuple(warnings))
 
 
 def _learned(config: Config, sensors: Sequence[LearnedNoise]) -> Config:
@@ -142,7 +151,7 @@ def _solved(recording: Recording, config: Config, start: FloatArray | str | None
         raise FieldlocError(f"{recording.name}: it says nothing of the robot: no start was found")
     stamps_ns = [one.stamp_ns for one in done.estimates]
     views = _views(recording.measurements, stamps_ns, smoother.solution)
-    return _Solved(smoother.solution, views, done.sensors, (*recording.warnings, *done.warnings))
+    return _Solved(smoother.solution, smoother.legs, views, done.sensors, (*recording.warnings, *done.warnings))
 
 
 def _views(measurements: Sequence[object], stamps_ns: Sequence[int], solution: Solution) -> _Views:
@@ -214,7 +223,7 @@ def write_settings(path: Path, done: CalibratedRobot, config: Config) -> None:
             f"# What {', '.join(done.logs)} says of the robot. A robot is not quite the same the next day: sigmas\n"
         )
         file.write("# here are a little wider than estimated.\n")
-        sections = {name: getattr(known, name) for name in ("calibration", "sensor", "scan_distortion", "mount")}
+        sections = {name: getattr(known, name) for name in _SECTIONS}
         for section, values in sections.items():
             quantities = [one for one in done.quantities if one.section == section]
             if not quantities:

@@ -164,9 +164,9 @@ class MixtureFilter:
         return self._seen(self._views.sight(self._extra, self._known)) if len(self._bank) else None
 
     @property
-    def motion_scales(self) -> FloatArray:
-        """(2,) by how much the odometry is noisier than was thought, in variances along the way and of turns."""
-        return self._legs.scales
+    def legs(self) -> Legs:
+        """What has been learned of the odometry's noise."""
+        return self._legs
 
     @property
     def learned(self) -> tuple[FloatArray, FloatArray]:
@@ -267,7 +267,7 @@ class MixtureFilter:
             return Bank.empty(len(self._sides))
         log_weights, found = self._lost.found(solutions, self._sides.copies, symmetric)
         headings = self._sides.unfold(solutions.poses)[..., 2]
-        log_weights += self._heard.log_share(headings, self._config.compass, self._now_ns)
+        log_weights += self._heard.log_share(headings, self._config.compass, self._now_ns, found[:, None])
         extra, known = self._extra.copy(), self._known.copy()
         extra[-1] = known[-1] = known[:, -1] = 0.0  # which steel it is that the compass feels there, nobody knows
         known[-1, -1] = self._config.compass.offset_sigma_rad**2
@@ -320,7 +320,8 @@ class MixtureFilter:
             self._watch.recovered(self._now_ns)
         if started or bank.found[row]:
             bank.found[:] = 0
-            self._unheard = not self._heard.lately(self._now_ns)
+            # who was carried may have been turned since the compass spoke: what it says next is news again
+            self._unheard = not started or not self._heard.lately(self._now_ns)
         weights, lost = np.exp(bank.log_weights), float(np.exp(self._lost.total))
         if len(bank) == 1:  # its copies are places of their own
             other = float(weights.sum() - weights[0, copy]) + lost * (1.0 - 1.0 / len(self._sides))

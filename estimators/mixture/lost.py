@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldloc import pose as se2
 from fieldloc.mixture import MixtureFactor, PoseSolutions
@@ -50,7 +51,9 @@ class Lost:
     def total(self) -> float:
         return float(np.logaddexp(*self.log_weights))
 
-    def found(self, solutions: PoseSolutions, copies: FloatArray, symmetric: bool) -> tuple[FloatArray, FloatArray]:
+    def found(
+        self, solutions: PoseSolutions, copies: FloatArray, symmetric: bool
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """(k, c) log-weights of the solutions on the copies (c, 3), and (k,) whether it was carried there.
 
         A solution of a symmetric observation stands for its copies too, which are in the list themselves: each gets
