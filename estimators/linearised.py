@@ -4,11 +4,13 @@ What is minimised is 0.5 |rows @ step - towards|^2 over all rows, for the step o
 are in estimators.solution. A compass' readings are not in it (estimators.compass_knots).
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import NamedTuple, TypeVar, cast
+from typing import NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.chain import Chain, velocities
 from estimators.config import Config
@@ -17,13 +19,12 @@ from estimators.sensor import LEVER_BY_VELOCITY
 from estimators.sensor import lever as lever_at
 from estimators.solution import MOTION_FLOOR, WEAK_SIGMAS, global_means, global_sigmas
 from fieldloc import pose as se2
-from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor, is_by_sight
+from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 from fieldloc.stacks import FactorStack, HeadingStack, LandmarkStack, LineStack, PoseStack
 
 _FLOAT = np.dtype(np.float64)
-_Some = TypeVar("_Some", bound=Factor)
 
 
 class MotionRows(NamedTuple):
@@ -48,7 +49,7 @@ class Group(NamedTuple):
     """k factors of one kind, each as a stack of its own: arrays (k, 1, ...). whiteners: (k, m, m)."""
 
     nodes: IntArray
-    sighted: IntArray
+    sighted: NDArray[np.bool_]
     stack: FactorStack
     whiteners: FloatArray
 
@@ -57,12 +58,14 @@ class Linearised:
     """free: (GLOBALS,) which of what is the same over all of the chain is not fixed.
 
     means, sigmas: (GLOBALS,) of the priors. durations_s (n - 1,), moved (n - 1, 3), by_calibration
-    (n - 1, 3, CALIBRATION): of the motions; motion_roots (n - 1, 3, 3): their whiteners.
+    (n - 1, 3, CALIBRATION): of the motions; motion_roots (n - 1, 3, 3): their whiteners. compass: what is not in
+    `groups`, the readings and their nodes.
     """
 
     def __init__(self, chain: Chain, config: Config) -> None:
         self._chain, self.count = chain, len(chain.stamps_ns)
-        self.durations_s = np.diff(chain.stamps_ns).astype(np.float64) * 1e-9
+        self.stamps_ns = np.array(chain.stamps_ns, dtype=np.int64)
+        self.durations_s = np.diff(self.stamps_ns).astype(np.float64) * 1e-9
         self._cauchy = config.graph.cauchy
         self.means, self.sigmas = global_means(config), global_sigmas(config)
         self.free = self.sigmas > 0.0
@@ -71,7 +74,14 @@ class Linearised:
         self.by_calibration = _gathered([motion.by_calibration for motion in motions], 3, CALIBRATION)
         covariances = _gathered([motion.covariance for motion in motions], 3, 3) + MOTION_FLOOR
         self.motion_roots = _whiteners(covariances)
-        self.groups = _grouped(chain.factors)
+        by_kind = _by_kind(chain.factors)
+        nodes, those = by_kind.pop(HeadingFactor, ([], []))
+        headings = list(zip(nodes, cast(list[HeadingFactor], those), strict=True))
+        self.compass = [(node, factor) for node, factor in headings if factor.by_compass]
+        others = [(node, factor) for node, factor in headings if not factor.by_compass]
+        if others:
+            by_kind[HeadingFactor] = [node for node, _ in others], [factor for _, factor in others]
+        self.groups = [_group(nodes, those) for nodes, those in by_kind.values()]
 
     def motions(self, poses: FloatArray, common: FloatArray) -> MotionRows:
         """common: (GLOBALS,)."""
@@ -159,17 +169,13 @@ def squared_errors(
     return squares, limits
 
 
-def _grouped(factors: Sequence[tuple[int, Factor]]) -> list[Group]:
-    out = []
-    for kind in dict.fromkeys(type(factor) for _, factor in factors):
-        those = [factor for _, factor in factors if type(factor) is kind]
-        nodes = [node for node, factor in factors if type(factor) is kind]
-        if kind is HeadingFactor:
-            compass = [isinstance(factor, HeadingFactor) and factor.by_compass for factor in those]
-            nodes = [node for node, by_compass in zip(nodes, compass, strict=True) if not by_compass]
-            those = [factor for factor, by_compass in zip(those, compass, strict=True) if not by_compass]
-        if those:
-            out.append(_group(nodes, those))
+def _by_kind(factors: Sequence[tuple[int, Factor]]) -> dict[type[Factor], tuple[list[int], list[Factor]]]:
+    """Nodes and factors. There are many, so each is looked at once."""
+    out: defaultdict[type[Factor], tuple[list[int], list[Factor]]] = defaultdict(lambda: ([], []))
+    for node, factor in factors:
+        nodes, those = out[type(factor)]
+        nodes.append(node)
+        those.append(factor)
     return out
 
 
@@ -177,36 +183,36 @@ def _group(nodes: list[int], factors: list[Factor]) -> Group:
     """Of factors of one kind."""
     size = len(factors[0].covariance)
     covariances = _gathered([factor.covariance for factor in factors], size, size)
-    stack = _stacked(factors, covariances)
     if not np.isfinite(covariances).all():
         raise ValueError("not finite: the covariance of a factor")
-    return Group(np.array(nodes), np.array([is_by_sight(f) for f in factors]), stack, _whiteners(covariances))
-
-
-def _stacked(factors: Sequence[Factor], covariances: FloatArray) -> FactorStack:
-    """All of the kind of the first."""
+    by_sight = [False]
+    stack: FactorStack
     match factors[0]:
         case PoseFactor():
-            return PoseStack(_gathered([f.pose for f in _of(PoseFactor, factors)], 1, 3), covariances)
+            poses = cast(list[PoseFactor], factors)
+            by_sight = [f.by_sight for f in poses]
+            stack = PoseStack(_gathered([f.pose for f in poses], 1, 3), covariances)
         case LandmarkFactor():
-            landmarks = _of(LandmarkFactor, factors)
+            landmarks = cast(list[LandmarkFactor], factors)
+            by_sight = [f.by_sight for f in landmarks]
             on_map, seen = (
                 _gathered([f.landmark for f in landmarks], 1, 2),
                 _gathered([f.seen for f in landmarks], 1, 2),
             )
-            return LandmarkStack(on_map, seen, covariances)
+            stack = LandmarkStack(on_map, seen, covariances)
         case HeadingFactor():
-            return HeadingStack(np.array([[f.heading_rad] for f in _of(HeadingFactor, factors)]), covariances)
+            headings = cast(list[HeadingFactor], factors)
+            stack = HeadingStack(np.array([[f.heading_rad] for f in headings]), covariances)
         case LineFactor():
-            lines = [(f.heading_rad, f.normal_rad, f.offset_m) for f in _of(LineFactor, factors)]
-            heading_rad, normal_rad, offset_m = np.array(lines).T[..., None]
-            return LineStack(heading_rad, normal_rad, offset_m, np.zeros((len(lines), 2)), covariances)
+            lines = cast(list[LineFactor], factors)
+            by_sight = [f.by_sight for f in lines]
+            numbers = np.array([(f.heading_rad, f.normal_rad, f.offset_m) for f in lines])
+            heading_rad, normal_rad, offset_m = numbers.T[..., None]
+            stack = LineStack(heading_rad, normal_rad, offset_m, np.zeros((len(lines), 2)), covariances)
         case other:
             raise TypeError(f"no way to solve for a {type(other).__name__}")
-
-
-def _of(kind: type[_Some], factors: Sequence[Factor]) -> list[_Some]:
-    return [factor for factor in factors if isinstance(factor, kind)]
+    sighted = np.frombuffer(bytes(by_sight), dtype=np.bool_) if any(by_sight) else np.zeros(len(factors), np.bool_)
+    return Group(np.array(nodes), sighted, stack, _whiteners(covariances))
 
 
 def _gathered(parts: list[FloatArray], *shape: int) -> FloatArray:

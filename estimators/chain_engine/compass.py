@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.chain import Chain
 from estimators.chain_engine.blocks import Blocks
 from estimators.compass_knots import knot_s
 from estimators.config import Compass
+from estimators.linearised import Linearised
 from fieldloc import pose as se2
-from fieldloc.factors import HeadingFactor
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
@@ -39,9 +38,9 @@ class CompassOffsets:
     prior_sigma_rad: float
 
     @classmethod
-    def of(cls, chain: Chain, config: Compass) -> "CompassOffsets":
-        readings = [(k, f) for k, f in chain.factors if isinstance(f, HeadingFactor) and f.by_compass]
-        elapsed_s = (np.array(chain.stamps_ns) - chain.stamps_ns[0]) * 1e-9
+    def of(cls, linearised: Linearised, config: Compass) -> "CompassOffsets":
+        readings = linearised.compass
+        elapsed_s = (linearised.stamps_ns - linearised.stamps_ns[0]) * 1e-9
         knots = np.round(elapsed_s / knot_s(config)).astype(np.intp)
         left = np.exp(-np.diff(knots) * knot_s(config) / config.offset_s)
         gained = config.offset_sigma_rad**2 * (1.0 - left**2)

@@ -53,7 +53,7 @@ class Equations:
         self.free, self.means = linearised.free, linearised.means
         # what is not free has a column too, in which nothing is: a border of one size
         self._weights = np.where(self.free, linearised.sigmas, 1.0) ** -2.0
-        self._compass = CompassOffsets.of(chain, config.compass)
+        self._compass = CompassOffsets.of(linearised, config.compass)
         self._arithmetic = arithmetic(linearised, config.graph.cauchy)
 
     def at(self, state: State, whole: bool, bend: float) -> tuple[Blocks, float]:

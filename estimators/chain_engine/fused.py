@@ -27,7 +27,7 @@ _LARGE = 1e100
 
 class Motions(NamedTuple):
     """moved (n - 1, 3) by odometry's word; informations (n - 1, 6) about the errors, lower triangles; by_calibration
-    (n - 1, 3, c) their change, zeros for what is not free; durations_s (n - 1,)."""
+    (n - 1, 3, c) their change with the calibration; durations_s (n - 1,)."""
 
     moved: FloatArray
     informations: FloatArray
@@ -36,10 +36,11 @@ class Motions(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """starts (2 n + 1,) of each node's, those by sight after the others; kinds (k,), values (k, 5), informations
-    (k, 6)."""
+    """order (k,): of the others, first by node, then those by sight last, starts (2 n + 1,) of each of these there;
+    kinds (k,), values (k, 5), informations (k, 6), lower triangles."""
 
     starts: IntArray
+    order: IntArray
     kinds: IntArray
     values: FloatArray
     informations: FloatArray
@@ -49,10 +50,8 @@ class Factors(NamedTuple):
 def add_all(
     poses: FloatArray,
     motions: Motions,
-    miscalibrated: FloatArray,
     factors: Factors,
-    sensor: FloatArray,
-    free: FloatArray,
+    common: FloatArray,
     square2: float,
     bend: float,
     columns: tuple[int, ...],
@@ -63,12 +62,13 @@ def add_all(
 ) -> float:
     """Adds motions and factors to the blocks; what is left of half their squared errors in sigmas.
 
-    miscalibrated: (n - 1, 3) what the calibration changes of the motions. sensor: (4,) its calibration; free: (4,)
-    1 or 0. square2: of Cauchy's kernel; bend: see Arithmetic. columns: see Blocks; the calibrations' or none.
+    common: (c + 4,) the calibrations of odometry and sensor. square2: of Cauchy's kernel; bend: see Arithmetic.
+    columns: see Blocks; the calibrations' or none.
     """
     moved, motion_informations, by_calibration, durations_s = motions
     q = len(columns) + 1
     c = q - 5 if q > 1 else 0
+    calibration, sensor = common[:-4], common[-4:]
     off = q > 1 or np.any(sensor != 0.0)  # whether things are seen from elsewhere than where the robot is
     lever, by_sensor, rows = np.zeros((3, 4)), np.zeros((3, 5)), np.zeros((3, q))
     cost = x = y = heading = cos = sin = 0.0
@@ -81,9 +81,12 @@ def add_all(
         at_x = at_y = at_turn = at_sin = 0.0
         at_cos = 1.0
         if len(moved):
-            x1, y1, turn, turn_cos, turn_sin, right = _exp(
-                miscalibrated[m, 0], miscalibrated[m, 1], miscalibrated[m, 2]
-            )
+            one = two = three = 0.0
+            for j in range(len(calibration)):
+                one += by_calibration[m, 0, j] * calibration[j]
+                two += by_calibration[m, 1, j] * calibration[j]
+                three += by_calibration[m, 2, j] * calibration[j]
+            x1, y1, turn, turn_cos, turn_sin, right = _exp(one, two, three)
             at_cos, at_sin = _cos_sin(moved[m, 2])
             at_x, at_y = moved[m, 0] + at_cos * x1 - at_sin * y1, moved[m, 1] + at_sin * x1 + at_cos * y1
             at_turn = _wrapped(moved[m, 2] + turn)
@@ -113,29 +116,25 @@ def add_all(
             across = _under(adjoint, own)
             before = _times(across, adjoint)
             backwards = _under_vector(adjoint, towards)
-            for i in range(3):
-                for j in range(3):
-                    diagonal[m, i, j] += before[3 * i + j]
-                    diagonal[k, i, j] += own[3 * i + j]
-                    following[m, i, j] -= across[3 * i + j]
-                border[m, i, q - 1] += backwards[i]
-                border[k, i, q - 1] -= towards[i]
+            _add(diagonal[m], 1.0, before)
+            _add(diagonal[k], 1.0, own)
+            _add(following[m], -1.0, across)
+            _add_column(border[m], q - 1, 1.0, backwards)
+            _add_column(border[k], q - 1, -1.0, towards)
             if c:
                 # the expected motion is on the error's left side: the inverse right Jacobian at the error backwards
                 moving = _product((after[0], -after[1], after[2] - error[1], after[3] + error[0]), right)
                 weighted = _times(information, moving)
                 by_pose, by_motion = _under(after, weighted), _under(moving, weighted)
                 for j in range(c):
-                    column = (by_calibration[m, 0, j], by_calibration[m, 1, j], by_calibration[m, 2, j])
+                    column = _column(by_calibration[m], j)
                     change = _vector(by_pose, column)
                     back, alone = _under_vector(adjoint, change), _vector(by_motion, column)
-                    for i in range(3):
-                        border[m, i, j] += back[i]
-                        border[k, i, j] -= change[i]
-                        rows[i, j] += alone[i]
+                    _add_column(border[m], j, 1.0, back)
+                    _add_column(border[k], j, -1.0, change)
+                    _add_column(rows, j, 1.0, alone)
                 moves = _under_vector(moving, pull)
-                for i in range(3):
-                    rows[i, q - 1] += moves[i]
+                _add_column(rows, q - 1, 1.0, moves)
                 known = True
         first, seen, end = factors.starts[2 * k], factors.starts[2 * k + 1], factors.starts[2 * k + 2]
         if not off:
@@ -143,10 +142,8 @@ def add_all(
         if seen > first:
             own, towards, left = _known(factors, first, seen, (x, y, heading, cos, sin), square2, bend)
             cost += left
-            for i in range(3):
-                for j in range(3):
-                    diagonal[k, i, j] += own[3 * i + j]
-                border[k, i, q - 1] += towards[i]
+            _add(diagonal[k], 1.0, own)
+            _add_column(border[k], q - 1, 1.0, towards)
         if end > seen:
             velocity: Numbers = (0.0, 0.0, 0.0)
             inverse: Numbers = right
@@ -167,10 +164,8 @@ def add_all(
             cost += left
             adjoint = (turn_cos, turn_sin, turn_sin * x1 - turn_cos * y1, turn_cos * x1 + turn_sin * y1)
             own, towards = _under(adjoint, _times(information, adjoint)), _under_vector(adjoint, pull)
-            for i in range(3):
-                for j in range(3):
-                    diagonal[k, i, j] += own[3 * i + j]
-                border[k, i, q - 1] += towards[i]
+            _add(diagonal[k], 1.0, own)
+            _add_column(border[k], q - 1, 1.0, towards)
             if q > 1:
                 weighted = _times(information, turning)
                 by_pose, by_turn = _under(adjoint, weighted), _under(turning, weighted)
@@ -178,16 +173,15 @@ def add_all(
                 # the velocity's change with the calibration, and with it the tangent's
                 changes, late = _product(inverse, right), -sensor[3] * per_s
                 by_both, by_motion = _times(by_pose, changes), _under(changes, _times(by_turn, changes))
-                lever[0, 0], lever[1, 1], lever[2, 2] = free[0], free[1], -free[2]
+                lever[0, 0], lever[1, 1], lever[2, 2] = 1.0, 1.0, -1.0
                 for i in range(3):
-                    lever[i, 3] = -velocity[i] * free[3]
+                    lever[i, 3] = -velocity[i]
                     by_sensor[i, 4] = pull[i]
                 for j in range(4):
-                    column = (lever[0, j], lever[1, j], lever[2, j])
+                    column = _column(lever, j)
                     change, alone = _vector(by_pose, column), _vector(by_turn, column)
-                    for i in range(3):
-                        border[k, i, c + j] += change[i]
-                        by_sensor[i, j] = alone[i]
+                    _add_column(border[k], c + j, 1.0, change)
+                    by_sensor[0, j], by_sensor[1, j], by_sensor[2, j] = alone
                 for i in range(4):
                     for j in range(5):
                         for r in range(3):
@@ -195,19 +189,13 @@ def add_all(
                 if late != 0.0:
                     known = True
                     for j in range(c):
-                        column = (
-                            late * by_calibration[m, 0, j],
-                            late * by_calibration[m, 1, j],
-                            late * by_calibration[m, 2, j],
-                        )
+                        column = _column(by_calibration[m], j)
                         change, alone = _vector(by_both, column), _vector(by_motion, column)
-                        for i in range(3):
-                            border[k, i, j] += change[i]
-                            rows[i, j] += late * alone[i]
+                        _add_column(border[k], j, late, change)
+                        _add_column(rows, j, late * late, alone)
                     for j in range(5):
-                        alone = _under_vector(changes, (by_sensor[0, j], by_sensor[1, j], by_sensor[2, j]))
-                        for i in range(3):
-                            rows[i, c + j] += late * alone[i]
+                        alone = _under_vector(changes, _column(by_sensor, j))
+                        _add_column(rows, c + j, late, alone)
         if known:
             for i in range(c):
                 one, two, three = by_calibration[m, 0, i], by_calibration[m, 1, i], by_calibration[m, 2, i]
@@ -224,7 +212,7 @@ def _known(
     x, y, heading, cos, sin = pose
     i00 = i10 = i11 = i20 = i21 = i22 = towards0 = towards1 = towards2 = cost = 0.0
     product = 1.0
-    for f in range(first, end):
+    for f in factors.order[first:end]:
         kind, value = factors.kinds[f], factors.values[f]
         information = _symmetric(factors.informations[f])
         if kind == POSE:
@@ -279,6 +267,25 @@ def _known(
         towards0, towards1, towards2 = towards0 - pull0, towards1 - pull1, towards2 - pull2
     cost = 0.5 * square2 * (cost + math.log(product))
     return (i00, i10, i20, i10, i11, i21, i20, i21, i22), (towards0, towards1, towards2), cost
+
+
+@compiled
+def _add(block: FloatArray, sign: float, matrix: Numbers) -> None:
+    _add_column(block, 0, sign, (matrix[0], matrix[3], matrix[6]))
+    _add_column(block, 1, sign, (matrix[1], matrix[4], matrix[7]))
+    _add_column(block, 2, sign, (matrix[2], matrix[5], matrix[8]))
+
+
+@compiled
+def _add_column(rows: FloatArray, j: int, factor: float, column: Numbers) -> None:
+    rows[0, j] += factor * column[0]
+    rows[1, j] += factor * column[1]
+    rows[2, j] += factor * column[2]
+
+
+@compiled
+def _column(rows: FloatArray, j: int) -> Numbers:
+    return rows[0, j], rows[1, j], rows[2, j]
 
 
 @compiled

@@ -4,48 +4,27 @@ import numpy as np
 
 from estimators.chain_engine import fused, sweep
 from estimators.chain_engine.blocks import Blocks, Marginals
-from estimators.linearised import Group, Linearised
-from estimators.motion import CALIBRATION
+from estimators.linearised import Linearised
 from fieldloc.pose import FloatArray
-from fieldloc.stacks import HeadingStack, LandmarkStack, LineStack, PoseStack
-
-_NONE = np.zeros(0, dtype=np.intp)
+from fieldloc.stacks import FactorStack, HeadingStack, LandmarkStack, LineStack, PoseStack
 
 
 class InNumba:
     def __init__(self, linearised: Linearised, cauchy: float) -> None:
         self._linearised, self._square2 = linearised, cauchy**2
-        odometry, sensor = np.split(linearised.free.astype(np.float64), [CALIBRATION])
-        self._free = sensor
-        self._motions = fused.Motions(
-            linearised.moved,
-            _informations(linearised.motion_roots),
-            linearised.by_calibration * odometry[None, None],
-            linearised.durations_s,
-        )
-        groups = linearised.groups
-        tables = [_table(group) for group in groups]
-        keys = np.concatenate([_NONE, *(2 * group.nodes + group.sighted for group in groups)])
-        order = np.argsort(keys, kind="stable")
-        kinds = (np.full(len(values), kind) for kind, values in tables)
-        informations = (_informations(group.whiteners) for group in groups)
-        self._factors = fused.Factors(
-            np.searchsorted(keys[order], np.arange(2 * linearised.count + 1)),
-            np.concatenate([_NONE, *kinds])[order],
-            np.concatenate([np.zeros((0, 5)), *(values for _, values in tables)])[order],
-            np.concatenate([np.zeros((0, 6)), *informations])[order],
-        )
+        self._fixed = np.flatnonzero(~linearised.free)
+        informations = np.zeros((len(linearised.moved), 6))
+        _fill_informations(informations, linearised.motion_roots)
+        self._motions = fused.Motions(linearised.moved, informations, linearised.by_calibration, linearised.durations_s)
+        self._factors = _factors(linearised)
 
     def add_all(self, blocks: Blocks, poses: FloatArray, common: FloatArray, bend: float) -> float:
         one = self._linearised
-        calibration, sensor = np.split(common, [CALIBRATION])
         cost = fused.add_all(
             poses,
             self._motions,
-            one.by_calibration @ calibration,
             self._factors,
-            sensor,
-            self._free,
+            common,
             self._square2,
             bend,
             blocks.columns,
@@ -54,6 +33,9 @@ class InNumba:
             blocks.border,
             blocks.corner,
         )
+        if len(blocks.columns) and len(self._fixed):
+            blocks.border[:, :, self._fixed] = 0.0
+            blocks.corner[self._fixed] = blocks.corner[:, self._fixed] = 0.0
         first = one.first(poses)
         blocks.diagonal[0, :3, :3] += first.by_pose[0].T @ first.by_pose[0]
         blocks.border[0, :3, -1] += first.by_pose[0].T @ first.towards[0]
@@ -70,32 +52,46 @@ class InNumba:
         return sweep.marginals(blocks)
 
 
-def _table(group: Group) -> tuple[int, FloatArray]:
-    """Kind and values (k, 5) as `fused` knows them."""
-    match group.stack:
+def _factors(linearised: Linearised) -> fused.Factors:
+    groups = linearised.groups
+    total = sum(len(group.nodes) for group in groups)
+    keys, kinds = np.zeros(total, dtype=np.int64), np.zeros(total, dtype=np.int64)
+    values, informations = np.zeros((total, 5)), np.zeros((total, 6))
+    start = 0
+    for group in groups:
+        those = slice(start, start + len(group.nodes))
+        keys[those] = 2 * group.nodes + group.sighted
+        kinds[those], columns = _columns(group.stack)
+        at = 0
+        for column in columns:
+            values[those, at : at + column.shape[1]] = column
+            at += column.shape[1]
+        _fill_informations(informations[those], group.whiteners)
+        start = those.stop
+    starts = np.zeros(2 * linearised.count + 1, dtype=np.int64)
+    np.cumsum(np.bincount(keys, minlength=2 * linearised.count), out=starts[1:])
+    return fused.Factors(starts, np.argsort(keys, kind="stable"), kinds, values, informations)
+
+
+def _columns(stack: FactorStack) -> tuple[int, list[FloatArray]]:
+    """Kind, and columns of the values (k, 5) as `fused` knows them."""
+    match stack:
         case PoseStack():
-            heading = group.stack.poses[:, 0, 2:]
-            kind, columns = fused.POSE, [group.stack.poses[:, 0], np.cos(heading), np.sin(heading)]
+            heading = stack.poses[:, 0, 2:]
+            return fused.POSE, [stack.poses[:, 0], np.cos(heading), np.sin(heading)]
         case LandmarkStack():
-            kind, columns = fused.LANDMARK, [group.stack.landmarks[:, 0], group.stack.seen[:, 0]]
+            return fused.LANDMARK, [stack.landmarks[:, 0], stack.seen[:, 0]]
         case HeadingStack():
-            kind, columns = fused.HEADING, [group.stack.heading_rad]
+            return fused.HEADING, [stack.heading_rad]
         case LineStack():
-            normal = group.stack.normal_rad
-            kind = fused.LINE
-            columns = [group.stack.heading_rad, group.stack.offset_m, np.cos(normal), np.sin(normal)]
+            return fused.LINE, [stack.heading_rad, stack.offset_m, np.cos(stack.normal_rad), np.sin(stack.normal_rad)]
         case other:
             raise TypeError(f"no way to solve for a {type(other).__name__}")
-    values = np.zeros((len(group.nodes), 5))
-    filled = np.concatenate(columns, axis=1)
-    values[:, : filled.shape[1]] = filled
-    return kind, values
 
 
-def _informations(whiteners: FloatArray) -> FloatArray:
-    """(k, 6) lower triangles, row by row, of transpose(whitener) @ whitener, whiteners (k, m, m); zeros beyond."""
-    out = np.zeros((len(whiteners), 6))
-    whole = np.swapaxes(whiteners, 1, 2) @ whiteners
-    for column, (i, j) in enumerate(zip(*np.tril_indices(whiteners.shape[1]), strict=True)):
-        out[:, column] = whole[:, i, j]
-    return out
+def _fill_informations(out: FloatArray, whiteners: FloatArray) -> None:
+    """(k, 6) lower triangles, row by row, of transpose(whitener) @ whitener, whiteners (k, m, m), lower ones too."""
+    size = whiteners.shape[1]
+    columns = np.ascontiguousarray(whiteners.T)  # numpy works along the last axis
+    for at, (i, j) in enumerate(zip(*np.tril_indices(size), strict=True)):
+        out[:, at] = sum(columns[i, m] * columns[j, m] for m in range(i, size))

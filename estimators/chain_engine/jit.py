@@ -6,7 +6,7 @@ from typing import TypeVar, cast
 import numba  # type: ignore[import-not-found, import-untyped, unused-ignore]  # not needed: see chain_engine
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
-_FASTER = {"contract", "reassoc", "nsz"}  # sums in any order; what is not a number stays so
+_FASTER = {"contract", "reassoc", "nsz", "arcp"}  # sums in any order; what is not a number stays so
 
 
 def compiled(kernel: Kernel) -> Kernel:
