@@ -13,10 +13,12 @@ from estimators.linearised import Linearised
 from estimators.solution import Solution
 
 _MAX_STEPS = 50
-_NEAR_M = 0.05  # when no pose moves more in a step, the search for the poses alone ends
+_FOUND = np.array([1.0, 1.0, 0.3])  # m, m, rad: when no pose moves more in a step, the search for poses alone ends
+_LEVER = np.array([1.0, 1.0, 0.2])  # m and m/rad: a turn moves what is so far away
+_NEAR_M = 0.05  # from here on the kernel's bend is one to follow
 _SMALL_M = 1e-3  # no such step is refused
 _STILL_M = 1e-5  # of what is left then the last step, with the covariances, leaves a fraction
-_LAST_M, _MAX_ROUNDS = 2e-5, 5  # the last step; where it is longer, the one before was not nearly the last
+_LAST_M, _MAX_ROUNDS = 2e-5, 3  # the last step; where it is longer, the one before was not nearly the last
 _BEND = 0.95  # see Arithmetic.add_all; makes the last steps few
 _ROUNDING = 1e-9  # relative, of the error
 _LEAST_DAMPING, _MOST_DAMPING, _DAMPING_FACTOR = 1e-5, 1e9, 10.0
@@ -32,22 +34,22 @@ def solved(
     guess = np.array(chain.guess, dtype=np.float64, order="C")
     state = State(guess, equations.means, np.zeros(len(chain.guess)))
     if near is None:
-        state = _descended(equations, state, False, _NEAR_M)
+        state = _descended(equations, state, False)
     else:
         common = np.where(equations.free, [*near.calibration, *near.sensor], equations.means)
         state = State(guess, common, equations.start(near))
     for _ in range(_MAX_ROUNDS):
-        state = _descended(equations, state, True, _STILL_M)
+        state = _descended(equations, state, True)
         # weights alone are what covariances are by; they lead nearly the same way
-        solution, state, moved_m = equations.last(equations.at(state, True, 0.0)[0], state)
-        if moved_m < _LAST_M:
+        solution, state, most = equations.last(equations.at(state, True, 0.0)[0], state)
+        if (most * _LEVER < _LAST_M).all():
             break
     return solution
 
 
-def _descended(equations: Equations, state: State, whole: bool, still_m: float) -> State:
-    """Where Gauss and Newton's steps lead to, until no pose is more than `still_m` away from there by how much smaller
-    they become; one that would lead up is damped (Levenberg, Marquardt)."""
+def _descended(equations: Equations, state: State, whole: bool) -> State:
+    """Where Gauss and Newton's steps lead to; one that would lead up is damped (Levenberg, Marquardt). Poses alone are
+    only led near; else as near as it takes by how much smaller the steps become."""
     blocks, cost = equations.at(state, whole, _BEND if whole else 0.0)
     if not np.isfinite(cost):
         raise ValueError("the chain's error is not finite: a factor holds a value that is not")
@@ -55,8 +57,10 @@ def _descended(equations: Equations, state: State, whole: bool, still_m: float) 
     for _ in range(_MAX_STEPS):
         after, moved, after_blocks, after_cost = state, np.inf, blocks, np.inf
         with suppress(IndefiniteError):
-            after, moved = equations.step(blocks, damping, state)
-            if moved * min(1.0, moved / before if before > 0.0 else 1.0) < still_m:
+            after, most = equations.step(blocks, damping, state)
+            moved = float((most * _LEVER).max())
+            left = moved * min(1.0, moved / before if before > 0.0 else 1.0)
+            if left < _STILL_M or (not whole and (most < _FOUND).all()):
                 return after
             after_blocks, after_cost = equations.at(after, whole, _BEND if moved < _NEAR_M else 0.0)
         # the last steps go where the equations hold, which what is left out of them makes not quite the minimum

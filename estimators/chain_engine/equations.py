@@ -17,8 +17,6 @@ from estimators.solution import GLOBALS, Solution
 from fieldloc import pose as se2
 from fieldloc.pose import FloatArray
 
-_LEVER = np.array([1.0, 1.0, 0.2])  # m and m/rad: a turn moves what is so far away
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
@@ -68,14 +66,14 @@ class Equations:
             blocks.corner[-1, :-1] += towards
         return blocks, cost
 
-    def step(self, blocks: Blocks, damping: float, state: State) -> tuple[State, float]:
-        """The state that the blocks lead to, and how far (m) the pose that moves most does so on the way."""
+    def step(self, blocks: Blocks, damping: float, state: State) -> tuple[State, FloatArray]:
+        """The state that the blocks lead to, and how far (3,) the poses that move most do so on the way."""
         return _moved(state, *self._arithmetic.solve(blocks, damping))
 
-    def last(self, blocks: Blocks, state: State) -> tuple[Solution, State, float]:
+    def last(self, blocks: Blocks, state: State) -> tuple[Solution, State, FloatArray]:
         """As `step`, with the answer there; its covariances are those that the blocks hold."""
         marginals = self._arithmetic.marginals(blocks)
-        after, moved_m = _moved(state, marginals.steps, marginals.border_step)
+        after, most = _moved(state, marginals.steps, marginals.border_step)
         covariance = np.zeros((GLOBALS, GLOBALS))
         covariance[np.ix_(self.free, self.free)] = marginals.border[np.ix_(self.free, self.free)]
         variances, following = marginals.covariances[:, -1, -1], marginals.following[:, -1, -1]
@@ -90,15 +88,15 @@ class Equations:
             compass_variance,
             marginals.log_determinant + left_out,
         )
-        return solution, after, moved_m
+        return solution, after, most
 
     def start(self, near: Solution) -> FloatArray:
         """(n,) the compass' offset at each node by an earlier solution."""
         return self._compass.at_nodes(near.compass_rad)
 
 
-def _moved(state: State, steps: FloatArray, border: FloatArray) -> tuple[State, float]:
+def _moved(state: State, steps: FloatArray, border: FloatArray) -> tuple[State, FloatArray]:
     common = state.common + border if len(border) else state.common
     offsets = state.offsets + steps[:, 3] if steps.shape[1] == 4 else state.offsets
-    moved_m = float(np.abs(steps[:, :3] * _LEVER).max())
-    return State(se2.retract(state.poses, steps[:, :3]), common, offsets), moved_m
+    most = np.maximum(steps.max(axis=0), -steps.min(axis=0))[:3]
+    return State(se2.retract(state.poses, steps[:, :3]), common, offsets), most
