@@ -5,9 +5,9 @@ are in estimators.solution. A compass' readings are not in it (estimators.compas
 """
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import NamedTuple, cast
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from fieldloc.pose import FloatArray
 from fieldloc.stacks import FactorStack, HeadingStack, LandmarkStack, LineStack, PoseStack
 
 _FLOAT = np.dtype(np.float64)
+_BATCH = 1024
+_Some = TypeVar("_Some")
 
 
 class MotionRows(NamedTuple):
@@ -54,6 +56,15 @@ class Group(NamedTuple):
     whiteners: FloatArray
 
 
+class _Part(NamedTuple):
+    """Some of a group; columns of what its stack is made of."""
+
+    nodes: IntArray
+    sighted: NDArray[np.bool_]
+    covariances: FloatArray
+    columns: list[FloatArray]
+
+
 class Linearised:
     """free: (GLOBALS,) which of what is the same over all of the chain is not fixed.
 
@@ -69,19 +80,28 @@ class Linearised:
         self._cauchy = config.graph.cauchy
         self.means, self.sigmas = global_means(config), global_sigmas(config)
         self.free = self.sigmas > 0.0
-        motions = chain.motions
-        self.moved = _gathered([motion.before_from_after for motion in motions], 3)
-        self.by_calibration = _gathered([motion.by_calibration for motion in motions], 3, CALIBRATION)
-        covariances = _gathered([motion.covariance for motion in motions], 3, 3) + MOTION_FLOOR
-        self.motion_roots = _whiteners(covariances)
-        by_kind = _by_kind(chain.factors)
-        nodes, those = by_kind.pop(HeadingFactor, ([], []))
-        headings = list(zip(nodes, cast(list[HeadingFactor], those), strict=True))
-        self.compass = [(node, factor) for node, factor in headings if factor.by_compass]
-        others = [(node, factor) for node, factor in headings if not factor.by_compass]
-        if others:
-            by_kind[HeadingFactor] = [node for node, _ in others], [factor for _, factor in others]
-        self.groups = [_group(nodes, those) for nodes, those in by_kind.values()]
+        moved, by_calibration, covariances = [np.zeros((0, 3))], [np.zeros((0, 3, CALIBRATION))], [np.zeros((0, 3, 3))]
+        for motions in _batches(chain.motions):
+            moved.append(_gathered([motion.before_from_after for motion in motions], 3))
+            by_calibration.append(_gathered([motion.by_calibration for motion in motions], 3, CALIBRATION))
+            covariances.append(_gathered([motion.covariance for motion in motions], 3, 3))
+        self.moved, self.by_calibration = np.concatenate(moved), np.concatenate(by_calibration)
+        self.motion_roots = _whiteners(np.concatenate(covariances) + MOTION_FLOOR)
+        self.compass = list[tuple[int, HeadingFactor]]()
+        parts: defaultdict[type[Factor], list[_Part]] = defaultdict(list)
+        for factors in _batches(chain.factors):
+            by_kind = _by_kind(factors)
+            headings = list(zip(*by_kind.pop(HeadingFactor, ([], [])), strict=True))
+            for node, factor in headings:
+                if isinstance(factor, HeadingFactor) and factor.by_compass:
+                    self.compass.append((node, factor))
+                else:
+                    nodes, those = by_kind[HeadingFactor]
+                    nodes.append(node)
+                    those.append(factor)
+            for kind, (nodes, those) in by_kind.items():
+                parts[kind].append(_part(nodes, those))
+        self.groups = [_group(kind, those_parts) for kind, those_parts in parts.items()]
 
     def motions(self, poses: FloatArray, common: FloatArray) -> MotionRows:
         """common: (GLOBALS,)."""
@@ -163,13 +183,20 @@ def squared_errors(
     kinds = [type(factor) for factor in factors]
     for kind in dict.fromkeys(kinds):
         rows = np.array([row for row, other in enumerate(kinds) if other is kind])
-        group = _group(rows.tolist(), [factors[row] for row in rows])
+        group = _group(kind, [_part(rows.tolist(), [factors[row] for row in rows])])
         error = _times(group.whiteners, _errors(group.stack, poses[rows]))
         squares[rows], limits[rows] = np.sum(error**2, axis=-1), gates[error.shape[1]]
     return squares, limits
 
 
-def _by_kind(factors: Sequence[tuple[int, Factor]]) -> dict[type[Factor], tuple[list[int], list[Factor]]]:
+def _batches(records: Sequence[_Some]) -> Iterator[Sequence[_Some]]:
+    """So many at a time that what is read of them once is at hand when they are read again."""
+    return (records[start : start + _BATCH] for start in range(0, len(records), _BATCH))
+
+
+def _by_kind(
+    factors: Sequence[tuple[int, Factor]],
+) -> defaultdict[type[Factor], tuple[list[int], list[Factor]]]:
     """Nodes and factors. There are many, so each is looked at once."""
     out: defaultdict[type[Factor], tuple[list[int], list[Factor]]] = defaultdict(lambda: ([], []))
     for node, factor in factors:
@@ -179,40 +206,51 @@ def _by_kind(factors: Sequence[tuple[int, Factor]]) -> dict[type[Factor], tuple[
     return out
 
 
-def _group(nodes: list[int], factors: list[Factor]) -> Group:
+def _part(nodes: list[int], factors: list[Factor]) -> _Part:
     """Of factors of one kind."""
     size = len(factors[0].covariance)
-    covariances = _gathered([factor.covariance for factor in factors], size, size)
-    if not np.isfinite(covariances).all():
-        raise ValueError("not finite: the covariance of a factor")
-    by_sight = [False]
-    stack: FactorStack
+    by_sight = [False] * len(factors)
+    columns: list[FloatArray]
     match factors[0]:
         case PoseFactor():
             poses = cast(list[PoseFactor], factors)
             by_sight = [f.by_sight for f in poses]
-            stack = PoseStack(_gathered([f.pose for f in poses], 1, 3), covariances)
+            columns = [_gathered([f.pose for f in poses], 1, 3)]
         case LandmarkFactor():
             landmarks = cast(list[LandmarkFactor], factors)
             by_sight = [f.by_sight for f in landmarks]
-            on_map, seen = (
-                _gathered([f.landmark for f in landmarks], 1, 2),
-                _gathered([f.seen for f in landmarks], 1, 2),
-            )
-            stack = LandmarkStack(on_map, seen, covariances)
+            columns = [_gathered([f.landmark for f in landmarks], 1, 2), _gathered([f.seen for f in landmarks], 1, 2)]
         case HeadingFactor():
-            headings = cast(list[HeadingFactor], factors)
-            stack = HeadingStack(np.array([[f.heading_rad] for f in headings]), covariances)
+            columns = [np.array([[f.heading_rad] for f in cast(list[HeadingFactor], factors)])]
         case LineFactor():
             lines = cast(list[LineFactor], factors)
             by_sight = [f.by_sight for f in lines]
-            numbers = np.array([(f.heading_rad, f.normal_rad, f.offset_m) for f in lines])
-            heading_rad, normal_rad, offset_m = numbers.T[..., None]
-            stack = LineStack(heading_rad, normal_rad, offset_m, np.zeros((len(lines), 2)), covariances)
+            columns = list(np.array([(f.heading_rad, f.normal_rad, f.offset_m) for f in lines]).T[..., None])
         case other:
             raise TypeError(f"no way to solve for a {type(other).__name__}")
-    sighted = np.frombuffer(bytes(by_sight), dtype=np.bool_) if any(by_sight) else np.zeros(len(factors), np.bool_)
-    return Group(np.array(nodes), sighted, stack, _whiteners(covariances))
+    sighted = np.frombuffer(bytes(by_sight), dtype=np.bool_)
+    return _Part(np.array(nodes), sighted, _gathered([f.covariance for f in factors], size, size), columns)
+
+
+def _group(kind: type[Factor], parts: list[_Part]) -> Group:
+    nodes, sighted, covariances = (np.concatenate(arrays) for arrays in list(zip(*parts, strict=True))[:3])
+    columns = (np.concatenate(arrays) for arrays in zip(*(part.columns for part in parts), strict=True))
+    if not np.isfinite(covariances).all():
+        raise ValueError("not finite: the covariance of a factor")
+    stack: FactorStack
+    if kind is PoseFactor:
+        (poses,) = columns
+        stack = PoseStack(poses, covariances)
+    elif kind is LandmarkFactor:
+        on_map, seen = columns
+        stack = LandmarkStack(on_map, seen, covariances)
+    elif kind is HeadingFactor:
+        (heading_rad,) = columns
+        stack = HeadingStack(heading_rad, covariances)
+    else:
+        heading_rad, normal_rad, offset_m = columns
+        stack = LineStack(heading_rad, normal_rad, offset_m, np.zeros((len(nodes), 2)), covariances)
+    return Group(nodes, sighted, stack, _whiteners(covariances))
 
 
 def _gathered(parts: list[FloatArray], *shape: int) -> FloatArray:

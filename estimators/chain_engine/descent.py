@@ -18,7 +18,7 @@ _LEVER = np.array([1.0, 1.0, 0.2])  # m and m/rad: a turn moves what is so far a
 _NEAR_M = 0.05  # from here on the kernel's bend is one to follow
 _SMALL_M = 1e-3  # no such step is refused
 _STILL_M = 1e-5  # of what is left then the last step, with the covariances, leaves a fraction
-_LAST_M, _MAX_ROUNDS = 2e-5, 3  # the last step; where it is longer, the one before was not nearly the last
+_LAST_M, _MAX_LAST = 5e-5, 5  # the last step
 _BEND = 0.95  # see Arithmetic.add_all; makes the last steps few
 _ROUNDING = 1e-9  # relative, of the error
 _LEAST_DAMPING, _MOST_DAMPING, _DAMPING_FACTOR = 1e-5, 1e9, 10.0
@@ -38,11 +38,12 @@ def solved(
     else:
         common = np.where(equations.free, [*near.calibration, *near.sensor], equations.means)
         state = State(guess, common, equations.start(near))
-    for _ in range(_MAX_ROUNDS):
-        state = _descended(equations, state, True)
+    state = _descended(equations, state, True)
+    for _ in range(_MAX_LAST):
         # weights alone are what covariances are by; they lead nearly the same way
-        solution, state, most = equations.last(equations.at(state, True, 0.0)[0], state)
-        if (most * _LEVER < _LAST_M).all():
+        blocks, _ = equations.at(state, True, 0.0)
+        solution, state, most = equations.last(blocks, state, _SMALL_M / _LEVER)
+        if not _LAST_M <= (most * _LEVER).max() < _SMALL_M:
             break
     return solution
 

@@ -14,7 +14,6 @@ from estimators.linearised import Linearised
 from estimators.motion import CALIBRATION, OdometryCalibration
 from estimators.sensor import SensorCalibration
 from estimators.solution import GLOBALS, Solution
-from fieldloc import pose as se2
 from fieldloc.pose import FloatArray
 
 
@@ -43,6 +42,9 @@ class Arithmetic(Protocol):
 
     def marginals(self, blocks: Blocks) -> Marginals: ...
 
+    def retracted(self, poses: FloatArray, steps: FloatArray) -> FloatArray:
+        """As se2.retract by the first three numbers of each step."""
+
 
 class Equations:
     def __init__(self, chain: Chain, config: Config, arithmetic: Callable[[Linearised, float], Arithmetic]) -> None:
@@ -68,12 +70,14 @@ class Equations:
 
     def step(self, blocks: Blocks, damping: float, state: State) -> tuple[State, FloatArray]:
         """The state that the blocks lead to, and how far (3,) the poses that move most do so on the way."""
-        return _moved(state, *self._arithmetic.solve(blocks, damping))
+        return self._moved(state, *self._arithmetic.solve(blocks, damping))
 
-    def last(self, blocks: Blocks, state: State) -> tuple[Solution, State, FloatArray]:
-        """As `step`, with the answer there; its covariances are those that the blocks hold."""
+    def last(self, blocks: Blocks, state: State, longest: FloatArray) -> tuple[Solution, State, FloatArray]:
+        """As `step`, with the answer there, whose covariances are those that the blocks hold. A step that is longer is
+        none to end with, and is not taken."""
         marginals = self._arithmetic.marginals(blocks)
-        after, most = _moved(state, marginals.steps, marginals.border_step)
+        after, moved = self._moved(state, marginals.steps, marginals.border_step)
+        after = after if (moved < longest).all() else state
         covariance = np.zeros((GLOBALS, GLOBALS))
         covariance[np.ix_(self.free, self.free)] = marginals.border[np.ix_(self.free, self.free)]
         variances, following = marginals.covariances[:, -1, -1], marginals.following[:, -1, -1]
@@ -88,15 +92,14 @@ class Equations:
             compass_variance,
             marginals.log_determinant + left_out,
         )
-        return solution, after, most
+        return solution, after, moved
 
     def start(self, near: Solution) -> FloatArray:
         """(n,) the compass' offset at each node by an earlier solution."""
         return self._compass.at_nodes(near.compass_rad)
 
-
-def _moved(state: State, steps: FloatArray, border: FloatArray) -> tuple[State, FloatArray]:
-    common = state.common + border if len(border) else state.common
-    offsets = state.offsets + steps[:, 3] if steps.shape[1] == 4 else state.offsets
-    most = np.maximum(steps.max(axis=0), -steps.min(axis=0))[:3]
-    return State(se2.retract(state.poses, steps[:, :3]), common, offsets), most
+    def _moved(self, state: State, steps: FloatArray, border: FloatArray) -> tuple[State, FloatArray]:
+        common = state.common + border if len(border) else state.common
+        offsets = state.offsets + steps[:, 3] if steps.shape[1] == 4 else state.offsets
+        moved = np.maximum(steps.max(axis=0), -steps.min(axis=0))[:3]
+        return State(self._arithmetic.retracted(state.poses, steps), common, offsets), moved

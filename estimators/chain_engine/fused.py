@@ -205,6 +205,18 @@ def add_all(
 
 
 @compiled
+def retracted(poses: FloatArray, steps: FloatArray) -> FloatArray:
+    """As Arithmetic.retracted."""
+    out = np.empty((len(poses), 3))
+    for k in range(len(poses)):
+        x, y, turn, _, _, _ = _exp(steps[k, 0], steps[k, 1], steps[k, 2])
+        cos, sin = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        out[k, 0], out[k, 1] = poses[k, 0] + cos * x - sin * y, poses[k, 1] + sin * x + cos * y
+        out[k, 2] = _wrapped(poses[k, 2] + turn)
+    return out
+
+
+@compiled
 def _known(
     factors: Factors, first: int, end: int, pose: Numbers, square2: float, bend: float
 ) -> tuple[Numbers, Numbers, float]:

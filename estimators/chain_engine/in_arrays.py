@@ -5,6 +5,7 @@ import numpy as np
 from estimators.chain_engine import cyclic
 from estimators.chain_engine.blocks import Blocks, Marginals
 from estimators.linearised import Linearised
+from fieldloc import pose as se2
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
@@ -56,6 +57,9 @@ class InArrays:
 
     def marginals(self, blocks: Blocks) -> Marginals:
         return cyclic.marginals(blocks)
+
+    def retracted(self, poses: FloatArray, steps: FloatArray) -> FloatArray:
+        return se2.retract(poses, steps[:, :3])
 
 
 def _add_at(target: FloatArray, nodes: IntArray, values: FloatArray) -> None:

@@ -51,6 +51,9 @@ class InNumba:
     def marginals(self, blocks: Blocks) -> Marginals:
         return sweep.marginals(blocks)
 
+    def retracted(self, poses: FloatArray, steps: FloatArray) -> FloatArray:
+        return fused.retracted(poses, steps)
+
 
 def _factors(linearised: Linearised) -> fused.Factors:
     groups = linearised.groups
