@@ -224,7 +224,8 @@ def _known(
     x, y, heading, cos, sin = pose
     i00 = i10 = i11 = i20 = i21 = i22 = towards0 = towards1 = towards2 = cost = 0.0
     product = 1.0
-    for f in factors.order[first:end]:
+    for index in range(first, end):
+        f = factors.order[index]
         kind, value = factors.kinds[f], factors.values[f]
         information = _symmetric(factors.informations[f])
         if kind == POSE:
