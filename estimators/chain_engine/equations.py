@@ -42,8 +42,8 @@ class Arithmetic(Protocol):
 
     def marginals(self, blocks: Blocks) -> Marginals: ...
 
-    def retracted(self, poses: FloatArray, steps: FloatArray) -> FloatArray:
-        """As se2.retract by the first three numbers of each step."""
+    def retracted(self, poses: FloatArray, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As se2.retract by the first three numbers of each step; the largest size of each of them (3,)."""
 
 
 class Equations:
@@ -101,5 +101,5 @@ class Equations:
     def _moved(self, state: State, steps: FloatArray, border: FloatArray) -> tuple[State, FloatArray]:
         common = state.common + border if len(border) else state.common
         offsets = state.offsets + steps[:, 3] if steps.shape[1] == 4 else state.offsets
-        moved = np.maximum(steps.max(axis=0), -steps.min(axis=0))[:3]
-        return State(self._arithmetic.retracted(state.poses, steps), common, offsets), moved
+        poses, moved = self._arithmetic.retracted(state.poses, steps)
+        return State(poses, common, offsets), moved

@@ -205,15 +205,19 @@ def add_all(
 
 
 @compiled
-def retracted(poses: FloatArray, steps: FloatArray) -> FloatArray:
+def retracted(poses: FloatArray, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
     """As Arithmetic.retracted."""
-    out = np.empty((len(poses), 3))
+    out, most = np.empty((len(poses), 3)), np.zeros(3)
     for k in range(len(poses)):
         x, y, turn, _, _, _ = _exp(steps[k, 0], steps[k, 1], steps[k, 2])
         cos, sin = math.cos(poses[k, 2]), math.sin(poses[k, 2])
         out[k, 0], out[k, 1] = poses[k, 0] + cos * x - sin * y, poses[k, 1] + sin * x + cos * y
         out[k, 2] = _wrapped(poses[k, 2] + turn)
-    return out
+        for i in range(3):
+            size = abs(steps[k, i])
+            if size > most[i] or math.isnan(size):  # what is not a number stays so
+                most[i] = size
+    return out, most
 
 
 @compiled

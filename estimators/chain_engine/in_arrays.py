@@ -58,8 +58,8 @@ class InArrays:
     def marginals(self, blocks: Blocks) -> Marginals:
         return cyclic.marginals(blocks)
 
-    def retracted(self, poses: FloatArray, steps: FloatArray) -> FloatArray:
-        return se2.retract(poses, steps[:, :3])
+    def retracted(self, poses: FloatArray, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return se2.retract(poses, steps[:, :3]), np.abs(steps[:, :3]).max(axis=0)
 
 
 def _add_at(target: FloatArray, nodes: IntArray, values: FloatArray) -> None:

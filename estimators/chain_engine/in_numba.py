@@ -51,7 +51,7 @@ class InNumba:
     def marginals(self, blocks: Blocks) -> Marginals:
         return sweep.marginals(blocks)
 
-    def retracted(self, poses: FloatArray, steps: FloatArray) -> FloatArray:
+    def retracted(self, poses: FloatArray, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
         return fused.retracted(poses, steps)
 
 

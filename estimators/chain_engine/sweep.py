@@ -101,11 +101,20 @@ def _eliminate(
                 link[i, j] *= chol[i, i]
             for j in range(q):
                 row[i, j] *= chol[i, i]
-        for i in range(q):
+        # above the diagonal, in few pieces of a fixed size
+        for i in range(q // 2):
             for m in range(d):
                 factor = row[m, i]
                 for j in range(q):
                     left[i, j] -= factor * row[m, j]
+        for i in range(q // 2, q):
+            for m in range(d):
+                factor = row[m, i]
+                for j in range(q // 2, q):
+                    left[i, j] -= factor * row[m, j]
+    for i in range(q):
+        for j in range(i):
+            left[i, j] = left[j, i]
     return lower, links, rows, left, good
 
 
