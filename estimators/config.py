@@ -21,8 +21,9 @@ class MotionNoise:
     forward. Wheels on a hard floor that are told what to do; a robot whose odometry states its covariance does not need
     them.
 
-    They are a first guess: the online estimators learn by what factor the variances along the way and of the turns are
-    larger or smaller. log_scale_sigma: standard deviation of its logarithm before a log; 0 takes them as known.
+    They are a first guess: estimators learn by what factors the variances along the way, and of the heading as it turns
+    and as it goes, are larger or smaller. log_scale_sigma: standard deviation of their logarithms before a log; 0 takes
+    them as known.
     """
 
     forward_m_per_sqrt_m: float = 0.08
@@ -35,7 +36,7 @@ class MotionNoise:
     """A velocity is believed this long; after it the robot may do anything that the two below allow."""
     silent_m_per_sqrt_s: float = 0.3
     silent_rad_per_sqrt_s: float = 0.5
-    log_scale_sigma: float = 0.7
+    log_scale_sigma: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

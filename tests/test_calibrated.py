@@ -26,6 +26,16 @@ SCANS = tuple(
     for name, value in (("log_scale", 0.03), ("depth", 0.9), ("askew", -0.01), ("bearing_scale", 0.01))
 )
 
+NOISE = tuple(
+    Quantity("motion", name, value, 0.1 * value, 0.5 * value, 3.0, True)
+    for name, value in (
+        ("forward_m_per_sqrt_m", 0.06),
+        ("sideways_m_per_sqrt_m", 0.04),
+        ("turn_rad_per_sqrt_rad", 0.09),
+        ("turn_rad_per_sqrt_m", 0.03),
+    )
+)
+
 
 def solution(values: FloatArray, covariance: FloatArray) -> Solution:
     none = np.zeros((0, 3)), np.zeros((0, 3, 3))
@@ -131,10 +141,10 @@ def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     true = rng.normal(size=SIZE) * global_sigmas(CONFIG)
     robot = calibrated([posterior(true, rng, 50)], CONFIG)
-    done = CalibratedRobot(("a", "b"), robot, SCANS, MOUNT, (0.004, 0.01, 0.01), ())
+    done = CalibratedRobot(("a", "b"), robot, NOISE, SCANS, MOUNT, (0.004, 0.01, 0.01), ())
     path = tmp_path / "robot.toml"
     write_settings(path, done, CONFIG)
     assert load_config(path) == done.settings(CONFIG)
     table = calibration_table(done).splitlines()
-    assert len(table) == 2 + SIZE + len(SCANS) + len(MOUNT)
+    assert len(table) == 2 + SIZE + len(NOISE) + len(SCANS) + len(MOUNT)
     assert table[0].split() == ["quantity", "value", "sigma", "sigma", "before", "unit", "log-likelihood"]
