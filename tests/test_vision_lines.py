@@ -82,6 +82,29 @@ def test_the_covariance_of_a_line_says_how_far_off_it_is(monkeypatch):
     assert 0.5 < np.mean(scores) < 1.5
 
 
+def test_a_fields_corner_at_the_pictures_border_is_two_lines(rng):
+    corner = np.array([111.0, 442.0])
+    light = turf(rng)
+    for end, width in (([-40.0, 492.0], 18.0), ([170.0, 498.0], 27.0)):
+        light = with_stripe(light, corner, np.array(end), (0.9 * width, width))
+    found = detect(exposed(light, rng)).lines
+    assert len(found) == 2
+    slopes = sorted(float(np.divide(*(line.ends_px[1] - line.ends_px[0])[::-1])) for line in found)
+    assert slopes == pytest.approx([-50.0 / 151.0, 56.0 / 59.0], abs=0.05)
+
+
+@pytest.mark.parametrize("touchline", [True, False])
+def test_a_short_piece_is_a_line_only_between_another_and_the_pictures_border(rng, touchline):
+    end = np.array([28.0, 352.5] if touchline else [17.0, 355.0])  # as much is seen of it beside the touchline
+    light = with_stripe(turf(rng), np.array([-20.0, 363.0]), end, (8.0, 8.0))
+    if touchline:
+        light = with_stripe(light, np.array([13.0, 98.0]), np.array([42.0, 500.0]), (4.0, 23.0))
+    found = detect(exposed(light, rng)).lines
+    flat = [line for line in found if abs(np.ptp(line.ends_px[:, 0])) > np.ptp(line.ends_px[:, 1])]
+    assert len(flat) == touchline
+    assert len(found) == 2 * touchline
+
+
 @pytest.mark.parametrize("finder", ["lsd", "hough"])
 def test_opencvs_finders_of_edges_lead_to_the_same_lines(rng, finder):
     light = turf(rng)

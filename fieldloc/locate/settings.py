@@ -25,4 +25,4 @@ class LocateSettings:
     none_right: float = 0.05
     trust: float = 0.5
     candidates: int = 24
-    hypotheses: int = 40
+    hypotheses: int = 80

@@ -18,6 +18,8 @@ from fieldloc.vision.stripes import middle_shift
 from fieldloc.vision.turf import Mask, Turf
 
 _COARSE_PX, _SPACING_PX = 4.0, 1.5  # of profiles along a line, to come onto it and to measure it
+LEAST_WIDTHS = 1.5  # a line's length at least
+_CUT = 0.5  # of the least length, and of its width: what is seen of one between the picture's border and another line
 _FEWEST, _MOST = 12, 120  # profiles of a line
 _EXTRA_PX = 6.0  # beyond the ends that the runs tell
 _LEAST_USED = 8  # profiles with both edges on the line
@@ -73,6 +75,11 @@ class Straight:
         return np.asarray(self.value[..., None] + self.slope[..., None] * (places - self.middle[:, None]))
 
 
+def least_length(shape: tuple[int, ...], settings: VisionSettings) -> float:
+    """In pixels, of a line in a picture of that shape (h, w)."""
+    return settings.least_length_px * max(1.0, min(shape[1] / 640.0, shape[0] / 480.0))
+
+
 def fit_lines(
     grey: UInt8Array, segments: Segments, plane: Plane, turf: Turf, settings: VisionSettings
 ) -> tuple[tuple[SeenLine, ...], list[FloatArray]]:
@@ -85,12 +92,21 @@ def fit_lines(
         segments = _moved(segments, _middles(grey, segments, plane, turf, _COARSE_PX, 0.0, settings))
     found = _middles(grey, segments, plane, turf, _SPACING_PX, _EXTRA_PX, settings)
     height, width = grey.shape[:2]
-    scale = max(1.0, min(width / 640.0, height / 480.0))
     bent_px = _BENT * segments.lengths
     if plane.camera is not None:  # what its distortion leaves is less the shorter a part of a line
         bent_px = bent_px * segments.lengths / width
-    like_lines, straight = _are_lines(found, settings.least_length_px * scale, bent_px)
-    arcs = [_curve(segments.ends[row], found, row) for row in np.flatnonzero(like_lines & ~straight).tolist()]
+    least_px = least_length(grey.shape, settings)
+    like_lines, straight = _are_lines(found, _CUT * least_px, bent_px)
+    short = like_lines & ~straight & (segments.lengths < least_px)
+    if short.any():  # of what is so short the other line at its end is a large part
+        own = (found.place >= 0.0) & (found.place <= segments.lengths[:, None])
+        inner = Middles(found.place, found.off, found.width, found.used & (own | ~short[:, None]), found.bare)
+        like_inner, straight_inner = _are_lines(inner, _CUT * least_px, bent_px)
+        better = short & like_inner & straight_inner
+        used = np.where(better[:, None], inner.used, found.used)
+        found, straight = Middles(found.place, found.off, found.width, used, found.bare), straight | better
+    bent = like_lines & ~straight & ~short
+    arcs = [_curve(segments.ends[row], found, row) for row in np.flatnonzero(bent).tolist()]
     kept = like_lines & straight
     found = Middles(found.place[kept], found.off[kept], found.width[kept], found.used[kept], found.bare[kept])
     return (_seen(segments.ends[kept], found, plane, turf, height) if kept.any() else ()), arcs
@@ -191,7 +207,7 @@ def _are_lines(found: Middles, least_length_px: float, bent_px: FloatArray) -> t
     straight = np.abs(sagitta) <= np.maximum(np.maximum(_BENT_SIGMAS * noise, _LEAST_BENT_PX), bent_px)
     width = (found.width * found.used).sum(axis=1) / count
     smooth = rough <= np.maximum(_ROUGHEST_PX, _ROUGHEST_SHARE * width)
-    long = length >= np.maximum(least_length_px, 1.5 * width)
+    long = length >= np.maximum(least_length_px, _CUT * width)
     share = np.where(rough < _SMOOTH_PX, _LEAST_SMOOTH, _LEAST_SHARE)
     whole = (count >= share * (count + bare)) & (count >= _LEAST_SEEN * np.count_nonzero(between, axis=1))
     return np.asarray(some & long & smooth & whole), np.asarray(straight)

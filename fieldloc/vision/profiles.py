@@ -25,6 +25,7 @@ _LEAST_CORE_PX, _BEYOND_PX = np.float32(0.75), np.float32(1.0)  # what is white 
 _CORE = slice(_MIDDLE - 6, _MIDDLE + 7)  # samples that may be in the core: 0.25 w of 0.7 w, or 0.75 px of 3
 _FIRST_BEYOND = _MIDDLE // 3  # sample outwards that may be beyond: 0.5 w + 1 px of 0.7 w + 3 px is at least a third
 _MARGIN_PX = np.float32(3.0)  # of turf on either side, beside a share of the width
+_SEEN_PX = np.float32(3.5)  # of the turf beyond an edge, in the picture
 _BRIGHTER = np.float32(0.3)  # of the way from the turf to the white
 _SMOOTHED = 3  # neighbouring profiles are averaged, as grass is rougher than the pixels
 
@@ -52,8 +53,6 @@ def measure(grey: UInt8Array, centres: FloatArray, normals: FloatArray, width_px
     u, v = at[0] + x * along[0], at[1] + x * along[1]
     sampled = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     values = np.asarray(cv2.boxFilter(sampled, cv2.CV_32F, (_SMOOTHED, 1)), dtype=np.float32)
-    outer_u, outer_v = u[[0, -1]], v[[0, -1]]
-    inside = ((outer_u >= 0) & (outer_u <= grey.shape[1] - 1) & (outer_v >= 0) & (outer_v <= grey.shape[0] - 1)).all(0)
     core = (np.abs(x[_CORE]) <= np.maximum(np.float32(0.25) * wide, _LEAST_CORE_PX)).astype(np.float32)
     white = (values[_CORE] * core).sum(axis=0) / core.sum(axis=0)
     # Both sides outwards, beside each other: (samples, sides, profiles).
@@ -75,6 +74,10 @@ def measure(grey: UInt8Array, centres: FloatArray, normals: FloatArray, width_px
     away = np.where(found, first - 1 + share, np.nan) * (x[-1] / _MIDDLE)
     width = away[0] + away[1]
     step = white - np.maximum(level[0], level[1])
+    # The picture may end beside a line, but not before its turf has been seen.
+    reach = np.stack([-away[0] - _SEEN_PX, away[1] + _SEEN_PX])
+    outer_u, outer_v = at[0] + reach * along[0], at[1] + reach * along[1]
+    inside = ((outer_u >= 0) & (outer_u <= grey.shape[1] - 1) & (outer_v >= 0) & (outer_v <= grey.shape[0] - 1)).all(0)
     good = inside & found.all(axis=0) & (step > 0) & (width > 0.4 * wide) & (width < 2.0 * wide + 1.0)
     good &= np.abs(level[0] - level[1]) < step
     return Profiles(0.5 * (away[1] - away[0]), width, step, good)

@@ -8,6 +8,7 @@ import numpy as np
 
 from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import SeenCircle, SeenLine, SeenPost
+from fieldloc.vision.lines import LEAST_WIDTHS, least_length
 from fieldloc.vision.picture import UInt8Array
 from fieldloc.vision.profiles import measure
 from fieldloc.vision.settings import VisionSettings
@@ -53,14 +54,21 @@ def sort_out(
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     short = length < np.minimum(_MARK_WIDTHS * width.mean(axis=1), _MARK_LENGTH * grey.shape[1])
     others, at_circle = _near_others(ends, width, circle)
-    lonely = ~(others[:, :, good & ~short].any(axis=2) | at_circle).any(axis=1)
-    mark = short & free.all(axis=1) & lonely
     at_border = _at_border(ends, width, grey)
+    # Two that both go out of the picture are longer than they look.
+    leaves = np.asarray(at_border.any(axis=1))
+    firm = good & (~short | (leaves & leaves[:, None]))
+    joined = (others & firm[:, None]).any(axis=2) | at_circle
+    lonely = ~joined.any(axis=1)
+    mark = short & free.all(axis=1) & lonely
     stub = lonely & (length < _STUB_WIDTHS * width.max(axis=1)) & ~at_border.any(axis=1)
     # A wide line that ends at another, or at the picture's border, ends at something white, too.
     blocked &= ~at_border & ~others[:, :, good].any(axis=2) & ~at_circle
-    limb = stub | (length < _LIMB_WIDTHS * width.mean(axis=1)) & blocked.any(axis=1)
-    return tuple(line for line, keep in zip(lines, good & ~mark & ~limb, strict=True) if keep)
+    limb = stub | (length < _LIMB_WIDTHS * width.mean(axis=1)) & blocked.any(axis=1) & lonely
+    # What is shorter than lines are may be what is seen of one between another and the picture's border.
+    cut = length < np.maximum(least_length(grey.shape, settings), LEAST_WIDTHS * width.mean(axis=1))
+    piece = cut & ~(leaves & (joined | at_border).all(axis=1))
+    return tuple(line for line, keep in zip(lines, good & ~mark & ~limb & ~piece, strict=True) if keep)
 
 
 def _on_posts(ends: FloatArray, posts: tuple[SeenPost, ...]) -> Mask:
