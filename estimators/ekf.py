@@ -33,7 +33,7 @@ class Ekf:
         self.carried_ns: list[tuple[int, int]] = []
         """From when to when it was somewhere else unnoticed, for each restart."""
         self._extra, known = prior(config)
-        """(12,) beside the pose: what is to be added to the heading to have the compass' comes last."""
+        """(EXTRA,) beside the pose: what is to be added to the heading to have the compass' comes last."""
         self._views = Views(config, self._motion)
         self._legs = Legs(config.motion)
         self._pending = STANDSTILL
@@ -108,7 +108,7 @@ class Ekf:
 
     @property
     def learned(self) -> tuple[FloatArray, FloatArray]:
-        """Mean (12,) and covariance (12, 12) of what is kept beside the pose (`estimators.views`)."""
+        """Mean (EXTRA,) and covariance (EXTRA, EXTRA) of what is kept beside the pose (`estimators.views`)."""
         return self._extra, self._filter.P[3:, 3:]
 
     def _seen(self, view: View) -> Estimate | None:

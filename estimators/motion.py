@@ -119,9 +119,9 @@ STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)), np.zeros((3, CALIBRATION))
 class HeldVelocity:
     """Turns odometry messages and the stamps at which the pose is asked for into increments.
 
-    Stamps that run backwards move nothing; an odometry message older than the last one is not used. scales:
-    (PARTS,) of the variances, where the odometry does not state them. delay_s: what a message says
-    happens so much later than its stamp.
+    Stamps that run backwards move nothing; an odometry message older than the last one is not used. scales: (PARTS,) of
+    the variances, where the odometry does not state them. delay_s: what a message says happens so much later than its
+    stamp.
     """
 
     def __init__(self, noise: MotionNoise, delay_s: float = 0.0) -> None:

@@ -41,8 +41,8 @@ def prior(config: Config) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """by_state: (3, 15) the change of the tangent of a pose that something is about, with all that is kept. twist: (3,)
-    of the way there for who keeps `at` (12,). chance: (3, 3) covariance of what is left open of it."""
+    """by_state: (3, SIZE) the change of the tangent of a pose that something is about, with all that is kept. twist:
+    (3,) of the way there for who keeps `at` (EXTRA,). chance: (3, 3) covariance of what is left open of it."""
 
     by_state: FloatArray
     twist: FloatArray
@@ -50,7 +50,7 @@ class View:
     chance: FloatArray
 
     def of(self, poses: FloatArray, extra: FloatArray) -> FloatArray:
-        """(..., 3) of poses (..., 3) that are kept, with (..., 12) beside them."""
+        """(..., 3) of poses (..., 3) that are kept, with (..., EXTRA) beside them."""
         return se2.retract(poses, self.beside(extra))
 
     def back(self, poses: FloatArray, extra: FloatArray) -> FloatArray:
@@ -58,12 +58,12 @@ class View:
         return se2.retract(poses, -self.beside(extra))
 
     def covariance(self, of_state: FloatArray) -> FloatArray:
-        """(..., 3, 3) of covariances (..., 15, 15)."""
+        """(..., 3, 3) of covariances (..., SIZE, SIZE)."""
         return propagate(self.by_state, of_state) + self.chance
 
     def of_state(self, covariance: FloatArray, known: FloatArray) -> FloatArray:
-        """(..., 15, 15) of covariances (..., 3, 3) of poses that something is about, beside (..., 12, 12) known of the
-        rest: the poses that are kept differ from them by what is not known of the rest."""
+        """(..., SIZE, SIZE) of covariances (..., 3, 3) of poses that something is about, beside (..., EXTRA, EXTRA)
+        known of the rest: the poses that are kept differ from them by what is not known of the rest."""
         aside = self.by_state[:, 3:]
         out = np.zeros((*covariance.shape[:-2], SIZE, SIZE))
         out[..., :3, 3:] = -aside @ known
@@ -99,7 +99,7 @@ class Views:
         return not self._late
 
     def now(self, extra: FloatArray) -> View:
-        """Of the robot itself. extra: (12,) as thought to be."""
+        """Of the robot itself. extra: (EXTRA,) as thought to be."""
         by_state, twist = _HELD.copy(), np.zeros(3)
         if self._late:
             late_s = float(extra[LATE - 3])
@@ -108,7 +108,7 @@ class Views:
         return View(by_state, twist, extra, _NONE)
 
     def sight(self, extra: FloatArray, known: FloatArray) -> View:
-        """Of what the eyes see. known: (12, 12) covariance of extra."""
+        """Of what the eyes see. known: (EXTRA, EXTRA) covariance of extra."""
         by_state = _HELD.copy()
         both = slice(LATE - 4, LATE - 2)
         late_s, sigma_s = float(extra[both].sum()), math.sqrt(max(known[both, both].sum(), 0.0))

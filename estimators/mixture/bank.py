@@ -24,9 +24,9 @@ _IDENTITY = np.eye(SIZE)
 class Bank:
     """h hypotheses, each with a weight for each of c copies.
 
-    poses: (h, 3) of copy 0; copy i is at compose(copies[i], pose). extra: (h, 12) calibrations and compass offset.
-    covariances: (h, 15, 15). log_weights: (h, c). parents: (h,) row in the bank before the last observation, -1 for one
-    that began with it; choices: (h,) which of that observation's solutions it took, -1 for none. found: (h,) whether
+    poses: (h, 3) of copy 0; copy i is at compose(copies[i], pose). extra: (h, EXTRA) calibrations and compass
+    offset. covariances: (h, SIZE, SIZE). log_weights: (h, c). parents: (h,) row in the bank before the last
+    observation, -1 for one that began with it; choices: (h,) which of that observation's solutions it took, -1 for none. found: (h,) whether
     it began as a robot that was carried and has not been the best since.
     """
 
@@ -120,7 +120,7 @@ class Bank:
         view."""
         covariances = self.covariances[rows]
         by_pose = covariances @ view.by_state.T
-        # what shrinks the covariance of three numbers is taken to all thirteen (matrix inversion lemma)
+        # what shrinks the covariance of three numbers is taken to all SIZE of them (matrix inversion lemma)
         shrink = seen.shrink
         step = (by_pose @ (shrink.swapaxes(-1, -2) @ seen.gradient[:, :, None]))[:, :, 0]
         covariances = covariances - by_pose @ (seen.information @ shrink) @ by_pose.swapaxes(-1, -2)
@@ -139,7 +139,7 @@ class Bank:
 
 
 def gaussian(pose: FloatArray, covariance: FloatArray, extra: FloatArray, copies: int) -> Bank:
-    """One hypothesis (3,), (15, 15), on copy 0 for sure. extra: (12,)."""
+    """One hypothesis (3,), (SIZE, SIZE), on copy 0 for sure. extra: (EXTRA,)."""
     log_weights = np.full((1, copies), -np.inf)
     log_weights[0, 0] = 0.0
     none = np.array([-1])

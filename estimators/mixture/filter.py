@@ -170,7 +170,7 @@ class MixtureFilter:
 
     @property
     def learned(self) -> tuple[FloatArray, FloatArray]:
-        """Mean (12,) and covariance (12, 12) of what the best keeps beside the pose (`estimators.views`)."""
+        """Mean (EXTRA,) and covariance (EXTRA, EXTRA) of what the best keeps beside the pose (`estimators.views`)."""
         return self._extra, self._known
 
     def _seen(self, view: View) -> Estimate:

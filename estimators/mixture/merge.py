@@ -135,7 +135,7 @@ def _together(bank: Bank, heads: IntArray, group: IntArray, copy: IntArray, side
 
 
 def _turned(covariances: FloatArray, by: FloatArray) -> FloatArray:
-    """With the pose's part of covariances (n, 15, 15) in the tangent that `by` (n, 3, 3) leads to."""
+    """With the pose's part of covariances (n, SIZE, SIZE) in the tangent that `by` (n, 3, 3) leads to."""
     out = covariances.copy()
     out[:, :3] = by @ out[:, :3]
     out[:, :, :3] = out[:, :, :3] @ by.swapaxes(-1, -2)

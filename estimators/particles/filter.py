@@ -171,7 +171,7 @@ class ParticleFilter:
 
     @property
     def _known(self) -> FloatArray:
-        """(12, 12) beside `_extra`."""
+        """(EXTRA, EXTRA) beside `_extra`."""
         out = np.zeros((EXTRA, EXTRA))
         cloud = self._moments.pooled if self._cloud is not None else np.zeros((3, 3))
         out[:_CONSTANT, :_CONSTANT] = self._calibration.covariance(cloud)
