@@ -24,10 +24,10 @@ _IDENTITY = np.eye(SIZE)
 class Bank:
     """h hypotheses, each with a weight for each of c copies.
 
-    poses: (h, 3) of copy 0; copy i is at compose(copies[i], pose). extra: (h, EXTRA) calibrations and compass
-    offset. covariances: (h, SIZE, SIZE). log_weights: (h, c). parents: (h,) row in the bank before the last
-    observation, -1 for one that began with it; choices: (h,) which of that observation's solutions it took, -1 for none. found: (h,) whether
-    it began as a robot that was carried and has not been the best since.
+    poses: (h, 3) of copy 0; copy i is at compose(copies[i], pose). extra: (h, EXTRA) calibrations and compass offset.
+    covariances: (h, SIZE, SIZE). log_weights: (h, c). parents: (h,) row in the bank before the last observation, -1 for
+    one that began with it; choices: (h,) which of that observation's solutions it took, -1 for none. found: (h,)
+    whether it began as a robot that was carried and has not been the best since.
     """
 
     poses: FloatArray
