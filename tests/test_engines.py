@@ -39,8 +39,10 @@ def smoothed(engine: str) -> Solution:
 
 def test_the_smoothers_answer_is_the_same_with_either_engine() -> None:
     gtsam, chain = (smoothed(engine) for engine in ENGINES)
-    np.testing.assert_allclose(chain.poses, gtsam.poses, rtol=0, atol=5e-4)  # gtsam's steps end earlier
-    np.testing.assert_allclose(chain.covariances, gtsam.covariances, rtol=0.01, atol=1e-7)
+    np.testing.assert_allclose(chain.poses, gtsam.poses, rtol=0, atol=1e-4)
+    sigmas = np.sqrt(np.diagonal(gtsam.covariances, axis1=1, axis2=2))
+    whole = sigmas[:, :, None] * sigmas[:, None, :]  # a correlation of nearly zero is not known to a part of itself
+    np.testing.assert_allclose(chain.covariances / whole, gtsam.covariances / whole, rtol=0, atol=1e-3)
     assert not np.array_equal(chain.poses, gtsam.poses)
 
 

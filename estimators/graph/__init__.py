@@ -28,7 +28,7 @@ from fieldloc.pose import FloatArray
 
 _STACK_BYTES = 512 * 1024 * 1024  # elimination recurses: 90,000 poses overflow the usual 8 MB; only touched pages count
 _MAX_STEPS = 10
-_CONVERGED = 0.01  # change of the graph's error: along no direction more than a seventh of a standard deviation
+_CONVERGED = 1e-4  # change of the graph's error: along no direction more than a hundredth of a standard deviation or so
 
 
 def solve(chain: Chain, config: Config, near: Solution | None = None) -> Solution:
