@@ -15,7 +15,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.scan_distortion import DistortionPrior
 
 TOLD_NOTHING = 0.9  # of the prior's sigma: more than this is left where a log says nothing of a quantity
-_NEXT_TIME = 0.1  # of the prior's sigma: a robot is not quite the same the next day
+NEXT_TIME = 0.1  # of the prior's sigma: a robot is not quite the same the next day
 _ODOMETRY = len(OdometryCalibration._fields)
 _DELAY = _ODOMETRY + SensorCalibration._fields.index("delay_s")
 _PLACE = slice(_ODOMETRY, _ODOMETRY + 2)
@@ -63,7 +63,7 @@ class Quantity:
     @property
     def next_sigma(self) -> float:
         """How well it is known of the robot on another day."""
-        return float(np.hypot(self.sigma, _NEXT_TIME * self.prior_sigma))
+        return float(np.hypot(self.sigma, NEXT_TIME * self.prior_sigma))
 
     @property
     def unit(self) -> str:

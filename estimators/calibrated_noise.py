@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimators.calibrated import TOLD_NOTHING, Quantity
+from estimators.calibrated import NEXT_TIME, TOLD_NOTHING, Quantity
 from estimators.config import MotionNoise
 from estimators.legs import Legs
 from estimators.motion import PARTS
 
-_NEXT_TIME = 0.1  # of the prior's sigma: a floor is not quite the same the next day
 _OF_PART = (
     ("forward_m_per_sqrt_m", 0),
     ("sideways_m_per_sqrt_m", 0),
@@ -38,14 +37,13 @@ def calibrated_noise(runs: Sequence[Legs], before: MotionNoise) -> tuple[Quantit
 def known_noise(before: MotionNoise, quantities: Sequence[Quantity]) -> MotionNoise:
     """With what `calibrated_noise` found. All variances are as sure as the one that is known worst."""
     worst = max(2.0 * one.sigma / one.value for one in quantities)
-    sigma = min(float(np.hypot(worst, _NEXT_TIME * before.log_scale_sigma)), before.log_scale_sigma)
+    sigma = min(float(np.hypot(worst, NEXT_TIME * before.log_scale_sigma)), before.log_scale_sigma)
     return replace(before, **{one.name: one.value for one in quantities}, log_scale_sigma=sigma)
 
 
 def _quantity(name: str, before: MotionNoise, log: float, sigma: float) -> Quantity:
     """Half the logarithm of a variance is that of the standard deviation."""
     was, prior = float(getattr(before, name)), before.log_scale_sigma
-    if not sigma < TOLD_NOTHING * prior:
-        return Quantity("motion", name, was, 0.5 * prior * was, 0.5 * prior * was, 0.0, told=False)
-    value, gain = was * float(np.exp(0.5 * log)), 0.5 * log**2 * (1.0 / sigma**2 + 1.0 / prior**2)
-    return Quantity("motion", name, value, 0.5 * sigma * value, 0.5 * prior * was, gain, told=True)
+    found = Quantity.found("motion", name, 0.0, log, sigma, prior)
+    value = was * float(np.exp(0.5 * found.value))
+    return replace(found, value=value, sigma=0.5 * found.sigma * value, prior_sigma=0.5 * prior * was)
