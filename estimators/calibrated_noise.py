@@ -36,8 +36,9 @@ def calibrated_noise(runs: Sequence[Legs], before: MotionNoise) -> tuple[Quantit
 
 def known_noise(before: MotionNoise, quantities: Sequence[Quantity]) -> MotionNoise:
     """With what `calibrated_noise` found. All variances are as sure as the one that is known worst."""
-    worst = max(2.0 * one.sigma / one.value for one in quantities)
-    sigma = min(float(np.hypot(worst, NEXT_TIME * before.log_scale_sigma)), before.log_scale_sigma)
+    prior = before.log_scale_sigma
+    worst = max((2.0 * one.sigma / one.value for one in quantities if one.value > 0.0), default=prior)
+    sigma = min(float(np.hypot(worst, NEXT_TIME * prior)), prior)
     return replace(before, **{one.name: one.value for one in quantities}, log_scale_sigma=sigma)
 
 

@@ -69,3 +69,11 @@ def test_what_is_found_is_the_settings_of_the_next_run() -> None:
     settings = [f"motion.{one.name}={one.value!r}" for one in found]
     again = with_settings(Config(), [*settings, f"motion.log_scale_sigma={known.log_scale_sigma!r}"])
     assert again.motion == known
+
+
+def test_noise_that_is_set_to_none_stays_none() -> None:
+    before = MotionNoise(sideways_m_per_sqrt_m=0.0, log_scale_sigma=0.8)
+    found = calibrated_noise([Learned(np.array([1.0, -0.6, 0.3]), np.array([80.0, 60.0, 70.0]))], before)
+    known = known_noise(before, found)
+    assert known.sideways_m_per_sqrt_m == 0.0
+    assert 0.1 < known.log_scale_sigma < 0.3
