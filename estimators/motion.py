@@ -8,9 +8,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from estimators.config import MotionNoise
-from estimators.one_pose import after, arc, composed, spread
 from estimators.recent import Recent
 from fieldloc.measurements import Odometry
+from fieldloc.one_pose import after, arc, composed, spread
 from fieldloc.pose import FloatArray
 
 MAX_GAP_S = 60.0  # a longer silence, or a clock that jumped, makes the pose no more unknown than this

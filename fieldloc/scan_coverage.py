@@ -4,6 +4,7 @@ A log says nothing about its sensor's field of view. But wherever the robot was,
 of the bearings seen is covered, up to the ranges seen, the fringes may be not. Nothing here knows where the robot is.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,6 +28,9 @@ _LEAST = 1e-3  # m and rad: width of a fade
 _BODY_M = 0.15  # half width of what hides things behind it, stand and all
 _BODY_RAD = 0.03
 _PLACES, _SEED = 400, 4
+
+Place = tuple[float, float, float]
+"""A pose by plain numbers."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,56 @@ class Coverage:
             return by_map
         return by_map | _behind(seen[:, 0], seen[:, 1] - self.middle_rad - at, far, radius)
 
+    def log_missed_alone(
+        self, pose: Place, place_m2: float, heading_rad2: float, seen: FloatArray, found: set[int]
+    ) -> float:
+        """The sum of `log_missed` over all but the landmarks that were found, from one pose of the sensor with these
+        variances: by plain numbers, as few of them are where they should be seen."""
+        x, y, heading = pose
+        low_m, high_m = float(self.ranges_m[0]), float(self.ranges_m[3])
+        off_m = math.sqrt(place_m2)
+        total = 0.0
+        for index, (to_x, to_y, _) in enumerate(self._landmarks):
+            if index in found:
+                continue
+            dx, dy = to_x - x, to_y - y
+            d2 = dx * dx + dy * dy
+            d = math.sqrt(d2)
+            if not low_m + off_m < d < high_m - off_m:
+                continue
+            bearing = math.remainder(math.atan2(dy, dx) - heading - self.middle_rad, math.tau)
+            off_rad = math.sqrt(heading_rad2 + place_m2 / max(d2, 1e-12))
+            covered = _inside_alone(d, self._borders[0], off_m) * _inside_alone(bearing, self._borders[1], off_rad)
+            if covered > 0.0 and not self._hides(index, d, bearing, pose, seen):
+                total += math.log1p(-self.detection * covered)
+        return total
+
+    def _hides(self, landmark: int, far_m: float, bearing_rad: float, pose: Place, seen: FloatArray) -> bool:
+        """As `_hidden`, of one landmark from one pose."""
+        x, y, heading = pose
+        own_m = _BODY_M + self._landmarks[landmark][2]
+        for near_m, at in seen.tolist():
+            aside = math.remainder(at - self.middle_rad - bearing_rad, math.tau)
+            if near_m < far_m and abs(aside) * near_m < own_m + _BODY_RAD * near_m:
+                return True
+        for to_x, to_y, radius_m in self._landmarks:
+            near_m = math.sqrt((to_x - x) ** 2 + (to_y - y) ** 2)
+            if near_m < far_m:
+                at = math.atan2(to_y - y, to_x - x) - heading - self.middle_rad
+                if abs(math.remainder(at - bearing_rad, math.tau)) * near_m < own_m + radius_m + _BODY_RAD * near_m:
+                    return True
+        return False
+
+    @cached_property
+    def _landmarks(self) -> list[tuple[float, float, float]]:
+        """x, y and radius of each."""
+        rows = zip(self.positions.tolist(), self.radii_m.tolist(), strict=True)
+        return [(x, y, radius_m) for (x, y), radius_m in rows]
+
+    @cached_property
+    def _borders(self) -> tuple[list[float], list[float]]:
+        return self.ranges_m.tolist(), self.bearings_rad.tolist()
+
     @cached_property
     def anywhere(self) -> FloatArray:
         """(k,) log probability that from places all over the field nothing is seen of what is covered."""
@@ -106,6 +160,10 @@ class Misses:
     ) -> FloatArray:
         """(h, m) as Coverage.log_missed."""
         return self.power * self.coverage.log_missed(poses, covariances, self.seen, wanted)
+
+    def log_missed_alone(self, pose: Place, place_m2: float, heading_rad2: float, found: set[int]) -> float:
+        """As Coverage.log_missed_alone."""
+        return self.power * self.coverage.log_missed_alone(pose, place_m2, heading_rad2, self.seen, found)
 
     @property
     def log_anywhere(self) -> float:
@@ -182,6 +240,14 @@ def _inside(value: FloatArray, border: FloatArray, off: FloatArray | float) -> F
     rising = (value - (low + off)) * (1.0 / max(in_low - low, _LEAST))
     falling = ((high - off) - value) * (1.0 / max(high - in_high, _LEAST))
     return np.asarray(np.minimum(np.maximum(np.minimum(rising, falling), 0.0), 1.0))
+
+
+def _inside_alone(value: float, border: list[float], off: float) -> float:
+    """As `_inside`, of one."""
+    low, in_low, in_high, high = border
+    rising = (value - (low + off)) * (1.0 / max(in_low - low, _LEAST))
+    falling = ((high - off) - value) * (1.0 / max(high - in_high, _LEAST))
+    return min(max(min(rising, falling), 0.0), 1.0)
 
 
 def _places(field: FieldMap) -> FloatArray:

@@ -5,17 +5,17 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldloc import pose as se2
-from fieldloc.mixture import Expansion, IntArray
+from fieldloc.mixture import After, Expansion, IntArray
 from fieldloc.pose import FloatArray
+from fieldloc.scan_alone import MOST, ROUNDS, STRAIGHT, Symmetric, expanded_alone, seen_of
 from fieldloc.scan_assignments import Assignments, assign
 from fieldloc.scan_model import ScanModel, Terms
 from fieldloc.scan_pairs import Pairs, pairs_of
 from fieldloc.scan_quadratics import Freed, Quadratics, log_shared, quadratics
 
 _FORGOTTEN = 8.0  # log weight below the best one of a pose
+_ONLY = np.zeros(1, dtype=np.intp)
 _DOUBTFUL = 2.0  # log evidence of an observation's landmark against clutter, below which more of them may be wrong
-_ROUNDS = 3
-_STRAIGHT = np.array([0.05, 0.05, 0.05])  # m, m, rad: a step that is no longer needs no further linearisation
 
 
 def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tuple[Expansion, IntArray]:
@@ -25,14 +25,18 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
     """
     if len(poses) == 1 and model.named is not None and len(model.named):
         # if all are where their labels say, nothing else is to be asked
-        found = Assignments(np.zeros(1, dtype=np.intp), model.named[None], np.zeros((1, 3)), np.zeros(1))
         wider = model.widening(np.arange(len(model.named)), model.named)
+        if (undoubted := _alone(model, model.named[None], wider, poses, covariances)) is not None:
+            return undoubted, model.named[None]
+        found = Assignments(np.zeros(1, dtype=np.intp), model.named[None], np.zeros((1, 3)), np.zeros(1))
         if (doubted := _without_one(_expanded(model, found, poses, covariances, wider), found.matches)) is not None:
             return doubted
     pairs = pairs_of(model, poses, covariances)
     matches = np.full((len(poses), len(model.range_bearing)), -1)
     matches[pairs.pose, pairs.row] = pairs.landmark
     if _unambiguous(pairs, len(poses), *model.may.shape):
+        if len(poses) == 1 and (undoubted := _alone(model, matches, pairs.wider, poses, covariances)) is not None:
+            return undoubted, matches
         parent = np.flatnonzero((matches >= 0).any(axis=1))
         found = Assignments(parent, matches[parent], np.zeros((len(parent), 3)), np.zeros(len(parent)))
         expanded = _expanded(model, found, poses, covariances, pairs.wider)
@@ -55,6 +59,33 @@ def _unambiguous(pairs: Pairs, h: int, n: int, m: int) -> bool:
     )
 
 
+def _alone(
+    model: ScanModel, matches: IntArray, wider: FloatArray | None, poses: FloatArray, covariances: FloatArray
+) -> Expansion | None:
+    """Of one assignment (1, n) from one pose (1, 3); None where others are worth a doubt, or arrays are faster."""
+    if model.survey is not None or matches.shape[1] > MOST or not (seen := seen_of(model, matches[0], wider)):
+        return None
+    x, y, heading = poses[0].tolist()
+    (p00, p01, p02), (_, p11, p12), (_, _, p22) = covariances[0].tolist()
+    out = expanded_alone(seen, (x, y, heading), (p00, p01, p02, p11, p12, p22))
+    if not out.least_gain > _FORGOTTEN:
+        return None
+    return Expansion(
+        _ONLY,
+        _ONLY,
+        np.array([out.constant]),
+        np.array([out.gradient]),
+        _matrix(out.information),
+        covariances,
+        After(np.array([out.shrink]), np.array([out.step]), _matrix(out.updated), np.array([out.evidence])),
+    )
+
+
+def _matrix(a: Symmetric) -> FloatArray:
+    """(1, 3, 3)."""
+    return np.array([[[a[0], a[1], a[2]], [a[1], a[3], a[4]], [a[2], a[4], a[5]]]])
+
+
 class _Expanded(NamedTuple):
     """whole: with the shared errors, which are `freed`, from `terms` in the tangent at the parent's pose; weighted
     (c, n, 2, k + 1): Jacobian and error of each observation, weighted."""
@@ -74,7 +105,7 @@ def _expanded(
     step = found.step
     each = np.arange(len(step))
     moved = bool(step.any())
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         terms = model.terms(se2.retract(origin, step) if moved else origin, found.matches, wider)
         if moved:
             jacobian = terms.jacobian[..., :3] @ se2.right_jacobian(step)[:, None]
@@ -83,7 +114,7 @@ def _expanded(
         whole, weighted = quadratics(terms)
         freed = whole.freed()
         out = Expansion(found.parent, each, *whole.of_pose(freed), covariance)
-        if (np.abs(out.step - step) < _STRAIGHT).all():
+        if (np.abs(out.step - step) < STRAIGHT).all():
             break
         step, moved = out.step, True
     return _Expanded(out, whole, freed, terms, weighted)

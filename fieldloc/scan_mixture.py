@@ -25,6 +25,7 @@ from fieldloc.field import FieldMap
 from fieldloc.fixes.landmarks import LandmarkFix
 from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import Expansion, IntArray, PoseSolutions
+from fieldloc.one_pose import composed
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import likeliest
@@ -70,10 +71,23 @@ class ScanMixture:
         return self._solutions
 
     def expand(self, poses: FloatArray, covariances: FloatArray) -> Expansion:
-        mount = self._mount
-        at = poses if mount is None else se2.compose(poses, self.scan.robot_from_sensor)
-        spread = covariances if mount is None else mount @ covariances @ mount.T
+        frames = _frames(*self.scan.robot_from_sensor.tolist())
+        at, spread = poses, covariances
+        if frames is not None:
+            mount = self.scan.robot_from_sensor
+            at = composed(poses[0], mount)[None] if len(poses) == 1 else se2.compose(poses, mount)
+            spread = frames.to_sensor @ covariances @ frames.to_sensor.T
         seen, matches = expand(self.model, at, spread)
+        log_more: FloatArray | float
+        if len(poses) == 1 and len(matches) == 1:
+            log_more = self.log_right + self._log_missed_alone(at[0], seen, matches[0])
+        else:
+            log_more = self._log_more(at, seen, matches)
+        out = seen.likelier(log_more, self._intern(matches))
+        return out if frames is None else out.of(frames.to_sensor, frames.to_robot, covariances)
+
+    def _log_more(self, at: FloatArray, seen: Expansion, matches: IntArray) -> FloatArray | float:
+        """(c,) what is to be said of solutions near poses (h, 3) of the sensor beside what `seen` says."""
         log_more: FloatArray | float = self.log_right
         if self.misses is not None and len(matches):
             # where they lead, by steps that are taken straight; the constants are its own, its steps are kept as found
@@ -85,15 +99,18 @@ class ScanMixture:
             log_more = log_more + self._log_missed(there, seen.updated, matches)
         if (repeated := 1.0 - self.model.news(matches)) > 0.0:
             # what it may be was chosen from when it was seen before: that there is much to choose from is no news again
-            log_more = log_more - repeated * _choice(seen.parent, seen.evidence + log_more, len(poses))
-        out = seen.likelier(log_more, self._intern(matches))
-        return out if mount is None else out.of(mount, self._from_sensor, covariances)
+            log_more = log_more - repeated * _choice(seen.parent, seen.evidence + log_more, len(at))
+        return log_more
 
-    @cached_property
-    def _mount(self) -> FloatArray | None:
-        """(3, 3) from a robot's tangent to its sensor's; None where they are the same."""
-        mount = self.scan.robot_from_sensor
-        return np.asarray(se2.adjoint(se2.inverse(mount))) if mount.any() else None
+    def _log_missed_alone(self, at: FloatArray, seen: Expansion, matches: IntArray) -> float:
+        """As `_log_missed`, of the only solution from the only pose (3,), where it leads."""
+        if self.misses is None:
+            return 0.0
+        (x, y, heading), (forward, left, turn) = at.tolist(), seen.step[0].tolist()
+        c, s = math.cos(heading), math.sin(heading)
+        there = x + c * forward - s * left, y + s * forward + c * left, heading + turn
+        (xx, _, _), (_, yy, _), (_, _, hh) = seen.updated[0].tolist()
+        return self.misses.log_missed_alone(there, xx + yy, hh, set(matches.tolist()))
 
     def relearned(self, noise: ScanNoise, distortion: ScanDistortion) -> "ScanMixture":
         """The same with what has been learned of the sensor since; its solutions keep their ids."""
@@ -107,11 +124,6 @@ class ScanMixture:
         out._ids.update(self._ids)
         out._matches.extend(self._matches)
         return out
-
-    @cached_property
-    def _from_sensor(self) -> FloatArray:
-        """(3, 3) the inverse of `_mount`."""
-        return se2.adjoint(self.scan.robot_from_sensor)
 
     def log_likelihood(self, poses: FloatArray) -> FloatArray:
         at = se2.compose(poses.reshape(-1, 3), self.scan.robot_from_sensor)
@@ -314,6 +326,20 @@ def scan_mixture(
         measured=measured,
         misses=misses,
     )
+
+
+class _Frames(NamedTuple):
+    """(3, 3) from a robot's tangent to its sensor's, and back."""
+
+    to_sensor: FloatArray
+    to_robot: FloatArray
+
+
+@lru_cache(maxsize=16)
+def _frames(x_m: float, y_m: float, turned_rad: float) -> _Frames | None:
+    """Of a sensor that is mounted there; None where it is the robot's origin."""
+    mount = np.array([x_m, y_m, turned_rad])
+    return _Frames(se2.adjoint(se2.inverse(mount)), se2.adjoint(mount)) if mount.any() else None
 
 
 class _OnMap(NamedTuple):

@@ -21,7 +21,7 @@ BoolArray = NDArray[np.bool_]
 GATE = 18.42  # chi-square, 2 degrees of freedom: a right one fails once in ten thousand
 NAMED_GATE = 36.0  # one whose label says which it is; what is worth less than clutter then counts as that
 _LOG_TWO_PI = float(np.log(2 * np.pi))
-_NEAREST_M = 1e-6  # on the landmark any direction will do
+NEAREST_M = 1e-6  # on the landmark any direction will do
 
 
 class Terms(NamedTuple):
@@ -99,7 +99,7 @@ class ScanModel:
         matched = matches >= 0
         to = self.positions[matches] - poses[:, None, :2]
         dx, dy = to[..., 0], to[..., 1]
-        d = np.maximum(np.hypot(dx, dy), _NEAREST_M)
+        d = np.maximum(np.hypot(dx, dy), NEAREST_M)
         bearing = np.arctan2(dy, dx) - poses[:, 2:]
         error = np.empty((*matches.shape, 2))
         error[..., 0], error[..., 1] = d - self.range_bearing[:, 0], _turned(bearing - self.range_bearing[:, 1])
@@ -149,7 +149,7 @@ class ScanModel:
     def errors(self, poses: FloatArray, landmarks: IntArray) -> Errors:
         """Of observations as landmarks (k,), at poses (h, 3)."""
         dx, dy = (self.positions[landmarks, k] - poses[:, k : k + 1] for k in (0, 1))
-        d = np.maximum(np.hypot(dx, dy), _NEAREST_M)
+        d = np.maximum(np.hypot(dx, dy), NEAREST_M)
         by_bearing = _turned((np.arctan2(dy, dx) - poses[:, 2:]) - self.range_bearing[:, 1:, None])
         return Errors(landmarks, dx / d, dy / d, d, d - self.range_bearing[:, :1, None], by_bearing)
 

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.motion import CALIBRATION, Increment
-from estimators.one_pose import composed, retracted
+from estimators.mixture.log_sums import of_each
+from estimators.motion import CALIBRATION, STANDSTILL, Increment
 from estimators.views import EXTRA, OFFSET, SIZE, View
 from fieldloc import pose as se2
 from fieldloc.mixture import Expansion, IntArray
+from fieldloc.one_pose import composed, retracted, spread
 from fieldloc.pose import FloatArray
 
 _IDENTITY = np.eye(SIZE)
@@ -59,6 +60,10 @@ class Bank:
             self.found[rows],
         )
 
+    def weighing(self, log_weights: FloatArray) -> "Bank":
+        """The same with other weights (h, c)."""
+        return Bank(self.poses, self.extra, self.covariances, log_weights, self.parents, self.choices, self.found)
+
     def joined(self, other: "Bank") -> "Bank":
         if not len(other):
             return self
@@ -77,16 +82,18 @@ class Bank:
     @property
     def totals(self) -> FloatArray:
         """(h,) log-weights of all copies together."""
-        if self.log_weights.shape[1] == 1:
-            return self.log_weights[:, 0]
-        return np.asarray(np.logaddexp.reduce(self.log_weights, axis=1))
+        return of_each(self.log_weights)
 
     def moved(self, motion: Increment, calibration: FloatArray, offset_left: float, offset_gain: float) -> "Bank":
         """After a motion, which is that of an odometry with the calibration (c,); others differ from it linearly.
 
         offset_left, offset_gain: share of the compass' offset that stays, variance that it gains.
         """
-        poses, extra = se2.compose(self.poses, motion.before_from_after), self.extra.copy()
+        extra = self.extra.copy()
+        if len(self) == 1:
+            poses = composed(self.poses[0], motion.before_from_after)[None]
+        else:
+            poses = se2.compose(self.poses, motion.before_from_after)
         others = extra[:, :CALIBRATION] - calibration
         if others.any():
             poses = se2.retract(poses, others @ motion.by_calibration.T)
@@ -98,15 +105,18 @@ class Bank:
         covariances = step @ self.covariances @ step.T
         covariances[:, :3, :3] += motion.covariance
         covariances[:, OFFSET, OFFSET] += offset_gain
-        return replace(self, poses=poses, extra=extra, covariances=covariances)
+        return Bank(poses, extra, covariances, self.log_weights, self.parents, self.choices, self.found)
 
     def moved_one(self, row: int, motion: Increment, view: View) -> tuple[FloatArray, FloatArray]:
         """Pose (3,) and covariance (3, 3), as the view has them, of one whose odometry the motion is, after it."""
-        step = view.by_state.copy()
-        step[:, :3] = motion.back
-        step[:, 3 : 3 + CALIBRATION] += motion.by_calibration
-        moved = step @ self.covariances[row] @ step.T + motion.covariance + view.chance
-        pose = composed(self.poses[row], motion.before_from_after)
+        step, chance, pose = view.by_state, view.chance, self.poses[row]
+        if motion is not STANDSTILL:
+            step = step.copy()
+            step[:, :3] = motion.back
+            step[:, 3 : 3 + CALIBRATION] += motion.by_calibration
+            chance = motion.covariance + chance
+            pose = composed(pose, motion.before_from_after)
+        moved = step @ self.covariances[row] @ step.T + chance
         return retracted(pose, view.beside(self.extra[row])), moved
 
     def seen(self, view: View) -> "Bank":
@@ -124,11 +134,12 @@ class Bank:
         shrink = seen.shrink
         step = (by_pose @ (shrink.swapaxes(-1, -2) @ seen.gradient[:, :, None]))[:, :, 0]
         covariances = covariances - by_pose @ (seen.information @ shrink) @ by_pose.swapaxes(-1, -2)
-        turned = se2.right_jacobian(step[:, :3])
+        alone = len(rows) == 1
+        turned = spread(*step[0, :3].tolist()) if alone else se2.right_jacobian(step[:, :3])
         covariances[:, :3] = turned @ covariances[:, :3]
         covariances[:, :, :3] = covariances[:, :, :3] @ turned.swapaxes(-1, -2)
         return Bank(
-            se2.retract(self.poses[rows], step[:, :3]),
+            retracted(self.poses[rows[0]], step[0, :3])[None] if alone else se2.retract(self.poses[rows], step[:, :3]),
             self.extra[rows] + step[:, 3:],
             0.5 * (covariances + covariances.swapaxes(-1, -2)),
             log_weights,

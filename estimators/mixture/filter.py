@@ -20,19 +20,20 @@ from estimators.mixture.attention import Attention
 from estimators.mixture.bank import Bank, gaussian
 from estimators.mixture.heard import Heard
 from estimators.mixture.lineage import Lineage
+from estimators.mixture.log_sums import either, total
 from estimators.mixture.lost import UNKNOWN, Lost
 from estimators.mixture.merge import merged
 from estimators.mixture.sides import Sides
-from estimators.mixture.split import Children, met, total
+from estimators.mixture.split import Children, met
 from estimators.mixture.watch import Watch
 from estimators.modes import ModeSequence
 from estimators.motion import CALIBRATION, STANDSTILL, HeldVelocity
-from estimators.one_pose import turned
 from estimators.views import LATE, View, Views, of_factor, prior
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.heading_mixture import HeadingMixture
 from fieldloc.measurements import Odometry
 from fieldloc.mixture import MixtureFactor, PoseSolutions
+from fieldloc.one_pose import turned
 from fieldloc.pose import FloatArray
 from fieldloc.regions import Region
 
@@ -57,7 +58,7 @@ class MixtureFilter:
         self._heard = Heard()
         self._unheard = False  # whether the compass has not spoken since the robot was found, nor just before
         self._sides = Sides.of(np.zeros((0, 3)) if symmetries is None else symmetries)
-        self._bank = Bank.empty(len(self._sides))
+        self._bank = self._nobody = Bank.empty(len(self._sides))
         self._lost = Lost.within(UNKNOWN, 0.0)
         self._lineage = Lineage.none(len(self._sides), remember)
         self._extra, self._known = prior(config)  # of the best
@@ -76,7 +77,7 @@ class MixtureFilter:
         self.advance(stamp_ns)
         self._settle()
         self._sides = Sides.of(region.symmetries)
-        self._bank = Bank.empty(len(self._sides))
+        self._bank = self._nobody = Bank.empty(len(self._sides))
         self._lost = Lost.within(region, 0.0)
         self._lineage.begin(self._bank)
         self._restart.forget()
@@ -122,8 +123,7 @@ class MixtureFilter:
             self._believe(elsewhere.pose, elsewhere.covariance, view)
             self._watch.recovered(self._now_ns)
             return innovation
-        none = Bank.empty(len(self._sides))
-        self._take(children, none, self._lost.log_weights + log_unknown, view, choice=False)
+        self._take(children, self._nobody, self._lost.log_weights + log_unknown, view, choice=False)
         return innovation
 
     def observe(self, mixture: MixtureFactor) -> None:
@@ -143,10 +143,10 @@ class MixtureFilter:
         births = self._born(solutions or PoseSolutions.none(), mixture.symmetric, view)
         if news < 1.0 and len(self._bank):
             # a robot that is lost has seen much the same a moment ago, too
-            whole = np.logaddexp(total(births.log_weights), total(missed)) - self._lost.total
-            if np.isfinite(whole):
+            whole = either(total(births.log_weights), total(missed)) - self._lost.total
+            if math.isfinite(whole):
                 back = (news - 1.0) * (whole - children.of_likeliest)
-                missed, births = missed + back, replace(births, log_weights=births.log_weights + back)
+                missed, births = missed + back, births.weighing(births.log_weights + back)
         self._take(children, births, missed, view, choice=True)
         self._decided = self._decided or self._decides(mixture)
 
@@ -186,7 +186,7 @@ class MixtureFilter:
     def ambiguity(self) -> Ambiguity | None:
         if not len(self._bank):
             return None
-        lost = float(np.exp(self._fed().total))
+        lost = math.exp(self._fed().total)
         bank = self._moved(self._bank)
         if not self._views.same:
             bank = bank.seen(self._views.now(self._extra))
@@ -231,7 +231,7 @@ class MixtureFilter:
             self._known = self._bank.covariances[row, 3:, 3:]
             self._extra = self._bank.extra[row]
             self._last = self._sides.of_one(copy, self._bank.poses[row])
-            self._bank = replace(self._bank, log_weights=self._bank.log_weights + math.log1p(-self._carried))
+            self._bank = self._bank.weighing(self._bank.log_weights + math.log1p(-self._carried))
         self._heard = self._heard.turned(float(self._pending.before_from_after[2]))
         self._pending, self._pending_s = STANDSTILL, 0.0
 
@@ -264,7 +264,7 @@ class MixtureFilter:
     def _born(self, solutions: PoseSolutions, symmetric: bool, view: View) -> Bank:
         count = len(solutions.ids)
         if not count:
-            return Bank.empty(len(self._sides))
+            return self._nobody
         log_weights, found = self._lost.found(solutions, self._sides.copies, symmetric)
         headings = self._sides.unfold(solutions.poses)[..., 2]
         log_weights += self._heard.log_share(headings, self._config.compass, self._now_ns, found[:, None])
@@ -276,13 +276,13 @@ class MixtureFilter:
         return Bank(poses, extras, covariances, log_weights, none, solutions.ids, found.astype(np.intp))
 
     def _take(self, children: Children, births: Bank, missed: FloatArray, view: View, choice: bool) -> None:
-        tracked = np.logaddexp(children.total, total(births.log_weights))
-        everything = np.logaddexp(tracked, total(missed))
-        if not np.isfinite(everything):
+        tracked = either(children.total, total(births.log_weights))
+        everything = either(tracked, total(missed))
+        if not math.isfinite(everything):
             return  # beyond all that was thought of
         started = not len(self._bank)
         settings = self._config.mixture
-        least = tracked + np.log(settings.prune_below)
+        least = tracked + math.log(settings.prune_below)
         bank = children.born(self._bank, least, view) if not started else self._bank
         if len(births):
             bank = bank.joined(births.take(np.flatnonzero(births.totals >= least)))
@@ -291,14 +291,14 @@ class MixtureFilter:
             return
         if len(bank) > _CROWD * settings.max_hypotheses:
             bank = bank.take(np.argsort(-bank.totals, kind="stable")[: _CROWD * settings.max_hypotheses])
-        bank = replace(bank, log_weights=bank.log_weights - everything)
+        bank = bank.weighing(bank.log_weights - everything)
         if len(bank) > 1:
             crowd = bank
             bank, into = merged(crowd, self._sides)
             self._watch.merges(self._now_ns, crowd, into, self._lineage.tracks)
             bank = bank.take(np.arange(min(len(bank), settings.max_hypotheses)))
         left = total(bank.log_weights)
-        bank = replace(bank, log_weights=bank.log_weights + (tracked - everything - left))
+        bank = bank.weighing(bank.log_weights + (tracked - everything - left))
         self._settle_on(bank, choice, started)
 
     def _settle_on(self, bank: Bank, choice: bool, started: bool) -> None:
@@ -322,7 +322,7 @@ class MixtureFilter:
             bank.found[:] = 0
             # who was carried may have been turned since the compass spoke: what it says next is news again
             self._unheard = not started or not self._heard.lately(self._now_ns)
-        weights, lost = np.exp(bank.log_weights), float(np.exp(self._lost.total))
+        weights, lost = np.exp(bank.log_weights), math.exp(self._lost.total)
         if len(bank) == 1:  # its copies are places of their own
             other = float(weights.sum() - weights[0, copy]) + lost * (1.0 - 1.0 / len(self._sides))
             if self._watch.knows(weights[0], self._lineage.tracks[0], float(weights[0, copy]), 1.0 - other):

@@ -45,6 +45,9 @@ class Lineage:
 
     def follow(self, bank: Bank, best: int, choice: bool) -> None:
         """Of the bank after an observation. best: row of the best one before it. choice: whether there was one."""
+        if len(bank) == 1 and bank.parents[0] == 0 and self.tracks.size == 1:
+            self._remember(bank, best, choice)  # the only one goes on
+            return
         parents = bank.parents
         alive = np.isfinite(bank.log_weights)
         kept = len(parents) == len(self.tracks) and bool((parents == np.arange(len(parents))).all())
@@ -62,8 +65,11 @@ class Lineage:
                 column[again] = -1
             self.tracks = old
             self._number(alive & (old < 0))
+        self._remember(bank, best, choice)
+
+    def _remember(self, bank: Bank, best: int, choice: bool) -> None:
         if not choice:
-            self.leaves = [self.leaves[parent] for parent in parents.tolist()] if self.remember else []
+            self.leaves = [self.leaves[parent] for parent in bank.parents.tolist()] if self.remember else []
             return
         if self.remember:
             self._choose(bank, best)

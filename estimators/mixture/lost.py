@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.mixture.log_sums import either
 from fieldloc import pose as se2
 from fieldloc.mixture import MixtureFactor, PoseSolutions
 from fieldloc.pose import FloatArray
@@ -45,11 +46,11 @@ class Lost:
         share = min(share, _NEARLY)
         begin, carried = self.log_weights.tolist()
         newly = math.log(share) + math.log1p(-min(math.exp(carried), _NEARLY))
-        return self.after(np.array([begin + math.log1p(-share), np.logaddexp(carried, newly)]))
+        return self.after(np.array([begin + math.log1p(-share), either(carried, newly)]))
 
     @property
     def total(self) -> float:
-        return float(np.logaddexp(*self.log_weights))
+        return either(*self.log_weights.tolist())
 
     def found(
         self, solutions: PoseSolutions, copies: FloatArray, symmetric: bool

@@ -7,6 +7,7 @@ from estimators.mixture.bank import Bank
 from estimators.mixture.sides import Sides, distance
 from fieldloc import pose as se2
 from fieldloc.mixture import IntArray
+from fieldloc.one_pose import turned
 from fieldloc.pose import FloatArray
 
 _TIE = 1e-6  # of log-weights
@@ -20,6 +21,8 @@ def best(bank: Bank, sides: Sides, last: FloatArray | None) -> tuple[int, int]:
     likely, the nearest to the last estimate (3,)."""
     weights = bank.log_weights
     if len(bank) == 1:
+        if len(sides) == 1:
+            return 0, 0
         alike = np.flatnonzero(weights[0] >= weights[0].max() - _TIE)
         if len(alike) == 1 or last is None:
             return 0, int(alike[0])
@@ -69,6 +72,10 @@ def ambiguity(
     stamp_ns: int, bank: Bank, sides: Sides, first: tuple[int, int], tracks: IntArray, lost: float
 ) -> Ambiguity:
     """first: row and copy of the estimate."""
+    if bank.log_weights.size == 1:
+        pose = bank.poses[0]
+        covariance = turned(bank.covariances[0, :3, :3], float(pose[2]))
+        return Ambiguity(stamp_ns, (Hypothesis(1.0 - lost, pose, covariance, int(tracks[0, 0])),), 0.0, lost)
     weights = np.exp(bank.log_weights - bank.log_weights.max())  # a robot that is surely lost leaves nothing else
     weights /= weights.sum()
     pose = sides.of_one(first[1], bank.poses[first[0]])

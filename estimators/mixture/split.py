@@ -7,11 +7,13 @@ import numpy as np
 
 from estimators.base import Innovation
 from estimators.mixture.bank import Bank
+from estimators.mixture.log_sums import either, of_each, total
 from estimators.mixture.sides import Sides
 from estimators.views import View
 from fieldloc.covariance import squared_mahalanobis
 from fieldloc.factors import Factor
 from fieldloc.mixture import Expansion, IntArray, MixtureFactor
+from fieldloc.one_pose import retracted
 from fieldloc.pose import FloatArray
 
 _ALIVE = 40.0  # nats beside the likeliest
@@ -35,7 +37,11 @@ class Sight:
 
     @staticmethod
     def of(bank: Bank, sides: Sides, symmetric: bool, view: View) -> "Sight":
-        poses, covariances = view.of(bank.poses, bank.extra), view.covariance(bank.covariances)
+        covariances = view.covariance(bank.covariances)
+        if len(bank) == 1:
+            poses = retracted(bank.poses[0], view.beside(bank.extra[0]))[None]
+        else:
+            poses = view.of(bank.poses, bank.extra)
         if symmetric or len(sides) == 1:
             rows, log_weights = np.arange(len(bank)), bank.log_weights
             copy = np.zeros_like(rows)
@@ -67,8 +73,7 @@ class Children:
         seen = mixture.expand(sight.poses, sight.covariances)
         log_weights = sight.log_weights[seen.parent] + seen.evidence[:, None]
         blind = sight.log_weights + mixture.log_outlier
-        before = np.logaddexp.reduce(sight.log_weights, axis=1)
-        return Children(seen, sight.rows[seen.parent], log_weights, sight.rows, blind, before)
+        return Children(seen, sight.rows[seen.parent], log_weights, sight.rows, blind, of_each(sight.log_weights))
 
     def tempered(self, share: float) -> "Children":
         """What the observation says of hypotheses against each other counts only that share of a full observation, what
@@ -85,6 +90,9 @@ class Children:
     def of_likeliest(self) -> float:
         """What the observation says of the hypothesis that is the likeliest with it, all its children together: log
         evidence; nan without any."""
+        if len(self.before) == 1:
+            alone = self.total - float(self.before[0])
+            return alone if math.isfinite(alone) else 0.0
         evidence, best = self._evidence
         return float(evidence[best]) if len(evidence) else math.nan
 
@@ -92,15 +100,15 @@ class Children:
     def _evidence(self) -> tuple[FloatArray, int]:
         """(v,) of all, 0 where there is none; and which is the likeliest after it."""
         after = np.full(len(self.before), -np.inf)
-        np.logaddexp.at(after, self.seen.parent, np.logaddexp.reduce(self.log_weights, axis=1))
-        after = np.logaddexp(after, np.logaddexp.reduce(self.blind_weights, axis=1))
+        np.logaddexp.at(after, self.seen.parent, of_each(self.log_weights))
+        after = np.logaddexp(after, of_each(self.blind_weights))
         evidence = after - self.before
         best = int(np.argmax(after)) if len(after) else 0
         return np.where(np.isfinite(evidence), evidence, 0.0), best
 
     @property
     def total(self) -> float:
-        return float(np.logaddexp(total(self.log_weights), total(self.blind_weights)))
+        return either(total(self.log_weights), total(self.blind_weights))
 
     @property
     def blind(self) -> float:
@@ -109,9 +117,9 @@ class Children:
 
     def born(self, bank: Bank, least: float, view: View) -> Bank:
         """Those whose log-weight is at least that."""
-        keep = np.flatnonzero(np.logaddexp.reduce(self.log_weights, axis=1) >= least)
+        keep = np.flatnonzero(of_each(self.log_weights) >= least)
         out = bank.corrected(self.parents[keep], self.seen.take(keep), self.log_weights[keep], view)
-        keep = np.flatnonzero(np.logaddexp.reduce(self.blind_weights, axis=1) >= least)
+        keep = np.flatnonzero(of_each(self.blind_weights) >= least)
         if not len(keep):
             return out
         rows = self.blind_rows[keep]
@@ -155,11 +163,6 @@ def met(
     innovation = Innovation(factor.stamp_ns, residual[at], expected[at], float(nis[at]), float(weight[at]))
     log_unknown = -0.5 * (edge + np.linalg.slogdet(2.0 * np.pi * expected[at])[1])
     return children, innovation, float(log_unknown)
-
-
-def total(log_weights: FloatArray) -> float:
-    """Logarithm of the sum of what they are the logarithms of."""
-    return float(np.logaddexp.reduce(np.ravel(log_weights), initial=-np.inf))
 
 
 def _nothing() -> Expansion:
