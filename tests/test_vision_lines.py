@@ -147,6 +147,22 @@ def test_something_white_that_stands_on_the_turf_is_no_line(rng):
     assert detect(exposed(light, rng)).lines == ()
 
 
+@pytest.mark.parametrize("met", [True, False])
+def test_a_wide_piece_that_ends_behind_something_is_a_line_where_another_ends_at_it(rng, met):
+    light = with_stripe(turf(rng), np.array([355.0, 510.0]), np.array([425.0, 270.0]), (36.0, 13.0))
+    if met:
+        light = with_stripe(light, np.array([399.0, 391.0]), np.array([660.0, 419.0]), (9.0, 10.0))
+    light[200:325, 380:440] = (60, 60, 65)
+    assert len(detect(exposed(light, rng)).lines) == 2 * met
+
+
+def test_a_line_is_one_however_high_the_fields_border_seems(rng):
+    light = with_stripe(turf(rng, top=240), np.array([146.0, 289.0]), np.array([440.0, 490.0]), (5.0, 16.0))
+    light[:240] = (70, 115, 85)  # a wall in the green light of the field
+    (line,) = detect(exposed(light, rng)).lines
+    assert np.linalg.norm(line.ends_px[1] - line.ends_px[0]) > 280.0
+
+
 def test_a_circle_is_a_circle_and_no_line(rng, monkeypatch):
     monkeypatch.setattr(rim, "middle_shift", lambda pixels, *_: np.zeros((2, len(pixels))))  # it lies not on the ground
     centre = np.array([330.0, 280.0])

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from turf_drawings import exposed, turf, with_stripe
 
+from fieldloc.colours import COLOURS, FieldColours
 from fieldloc.vision.turf import find_turf
 
 
@@ -79,3 +80,34 @@ def test_points_beside_the_picture_or_nowhere_are_not_turf():
     found = find_turf(np.full((480, 640, 3), (50, 140, 60), np.uint8))
     assert not found.at(np.array([[-2.0, 5.0], [640.0, 5.0], [3.0, 480.0], [np.nan, 4.0]])).any()
     assert found.at(np.array([[0.0, 0.0], [639.0, 479.0]])).all()
+
+
+def test_a_post_right_before_the_camera_is_not_the_field(rng):
+    light = turf(rng, top=200)
+    light[:, 200:470] = (6, 175, 210)
+    picture = exposed(light, rng)
+    assert find_turf(picture).at(np.array([330.0, 100.0]))
+    found = find_turf(picture, FieldColours((COLOURS["yellow"],)))
+    assert found.at(np.array([100.0, 400.0]))
+    assert not found.at(np.array([330.0, 400.0]))
+
+
+def test_turf_of_the_posts_own_hue_is_found_where_there_is_no_other(rng):
+    found = find_turf(exposed(turf(rng, colour=(40, 130, 130), top=120), rng), FieldColours(((220, 215, 70),)))
+    assert found.mask.mean() > 0.7
+
+
+def test_somebody_in_green_behind_the_field_does_not_raise_its_border(rng):
+    light = turf(rng, top=200)
+    light[20:205, 300:360] = (50, 140, 60)
+    found = find_turf(exposed(light, rng))
+    assert found.boundary_px is not None
+    assert np.allclose(found.boundary_px[:, 1], 199.5, atol=6.0)
+
+
+def test_turf_between_two_robots_reaches_as_far_as_it_does(rng):
+    light = turf(rng, top=100)
+    light[60:420, 180:260] = light[60:420, 310:400] = (40, 40, 45)
+    found = find_turf(exposed(light, rng))
+    assert found.boundary_px is not None
+    assert np.allclose(found.boundary_px[:, 1], 99.5, atol=6.0)

@@ -4,8 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldloc.locate.cameras import COLUMNS, ERROR, FOCAL, TINY, Cameras, IntArray, clipped, not_zero
+from fieldloc.locate.cameras import COLUMNS, ERROR, FAR_PX, FOCAL, Cameras, IntArray, clipped, not_zero
 from fieldloc.pose import FloatArray
+
+_THREAD_PX = 2.2  # so wide do a lens and a camera's colour pattern make a thread: 1.7 px to 2.6
+_LEAST_SLOPE = 0.3  # of a width's change with that of what is painted: where all is blur, what is seen still pulls
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,8 +46,8 @@ def _normals(cameras: Cameras, starts: FloatArray, directions: FloatArray) -> Fl
 def line_rows(cameras: Cameras, match: IntArray) -> tuple[FloatArray, FloatArray]:
     """Of each seen line to its match (k, l): rows (k, l, 2, 2, 8), pixels per metre (k, l, 2).
 
-    First of both ends, in px, then of the widths there: the logarithm of what is seen to what is expected; of no
-    meaning where it is not seen.
+    First of both ends, in px, then of the widths there: the logarithm of what is seen to what is expected, which is
+    never less than blur makes of a thread; of no meaning where it is not seen.
     """
     sight, shape, size = cameras.sight, cameras.shape, match.shape
     directions, both = shape.directions[match], cameras.line_ends
@@ -66,9 +69,12 @@ def line_rows(cameras: Cameras, match: IntArray) -> tuple[FloatArray, FloatArray
     level = both[:, :, 0, :, :2] / np.maximum(down, 1e-3)[..., None]
     by_up = np.stack([-cameras.axes[:, 1:, 1], cameras.axes[:, 1:, 0]], axis=1)
     out[:, :, 1, :, 4:6] += (level.reshape(size[0], -1, 2) @ by_up).reshape(*size, 2, 2)
+    painted = np.minimum(per_m * shape.line_width_m, FAR_PX)
+    expected2 = painted * painted + _THREAD_PX**2
+    out[:, :, 1] *= np.maximum(1.0 - _THREAD_PX**2 / expected2, _LEAST_SLOPE)[..., None]
     out[..., FOCAL] = sight.line_by_focal
     out[:, :, 0, :, ERROR] = clipped(off[:, :, 0] / slope)
-    out[:, :, 1, :, ERROR] = sight.log_widths - np.log(np.maximum(per_m * shape.line_width_m, TINY))
+    out[:, :, 1, :, ERROR] = sight.log_widths - 0.5 * np.log(expected2)
     return out, per_m
 
 

@@ -12,10 +12,12 @@ from fieldloc.locate.shape import Shape
 from fieldloc.locate.sight import Sight
 from fieldloc.pose import FloatArray
 
-PAINTED = 0.12  # share by which the widths of all of a field's lines are off
+_PAINTED = 0.12  # share by which the widths of all of a field's lines are off
 _UNEVEN = 0.05  # share by which a line's width changes along it
-_LEAST_WIDTH_PX = 4.0  # of a line whose width says how far it is: blur makes thin ones wider
+_LEAST_WIDTH_PX = 2.0  # of a line whose width says how far it is: thinner ones are all blur
 _BLUR_PX = 0.5  # by which light and a lens make white wider than it is
+_THREAD_PX2 = 2.0  # standard deviation of THREAD_PX squared, from camera to camera
+_NOTHING = 1e6
 
 
 @dataclass(frozen=True)
@@ -54,15 +56,18 @@ class Noise:
         return self._of(self.settings.map_m * px_per_m) + self.sight.circle_sigmas**2
 
     @cached_property
-    def of_widths(self) -> tuple[NDArray[np.bool_], FloatArray]:
-        """Of which lines the width says how far they are (l,); variance of its logarithm at both ends (l, 2), of what
-        is not common to all lines."""
+    def of_widths(self) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
+        """Of which lines a width says how far they are (l,); variance of its logarithm at both ends (l, 2), of what is
+        not common to all lines, and of what is."""
         sight = self.sight
-        known = np.asarray((sight.widths > _LEAST_WIDTH_PX).all(axis=1))  # no NaN is
-        own = np.full(sight.widths.shape, _UNEVEN**2)
+        known = sight.widths > _LEAST_WIDTH_PX  # no NaN is
+        own = np.full(known.shape, _NOTHING)
+        width2 = sight.widths[known] ** 2
         noise_px2 = sight.width_sigmas[known] ** 2 + _BLUR_PX**2 + self.widen_px**2
-        own[known] += noise_px2 / sight.widths[known] ** 2
-        return known, own
+        own[known] = _UNEVEN**2 + noise_px2 / width2
+        common = np.full(known.shape, _PAINTED**2)
+        common[known] += (0.5 * _THREAD_PX2 / width2) ** 2
+        return np.asarray(known.any(axis=1)), own, common
 
     def whitening_of_posts(self, count: int) -> FloatArray:
         """(k, p, 6, 6) or (1, p, 6, 6) makes white noise of a post's six numbers of so many states."""

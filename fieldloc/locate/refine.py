@@ -8,7 +8,7 @@ from fieldloc.locate.cameras import COLUMNS, ERROR, FOCAL, Cameras
 from fieldloc.locate.circle_errors import circle_rows
 from fieldloc.locate.line_errors import line_rows
 from fieldloc.locate.matching import CIRCLE_NUMBERS, Matches
-from fieldloc.locate.noise import PAINTED, Noise
+from fieldloc.locate.noise import Noise
 from fieldloc.locate.post_errors import post_rows
 from fieldloc.locate.prior import CameraPrior
 from fieldloc.locate.windows import Windows
@@ -97,12 +97,13 @@ def _whiten_lines(rows: FloatArray, noise: Noise, px_per_m: FloatArray, used: Fl
     variances, together = np.empty((*used.shape, 2, 2)), np.empty((*used.shape, 2))
     variances[:, :, 0] = noise.of_lines(px_per_m) + sight.line_variances
     together[..., 0] = sight.line_noise[:, 0, 1]
-    known, own = noise.of_widths
+    known, own, common = noise.of_widths
     both = np.empty((*used.shape, 2))
     both[..., 0], both[..., 1] = used, used * known
     # one brush painted all lines of a field: that it is too wide is seen as often as there are lines, and is one error
-    together[..., 1] = np.maximum(both[..., 1].sum(axis=1), 1.0)[:, None] * PAINTED**2
-    variances[:, :, 1] = own + together[..., 1, None]
+    often = np.maximum(both[..., 1].sum(axis=1), 1.0)[:, None, None]
+    together[..., 1] = often[..., 0] * common.min(axis=1)
+    variances[:, :, 1] = own + often * common
     # the lower Cholesky factor of [[a, b], [b, c]], row by row
     a = np.sqrt(variances[..., 0])
     b = together / a

@@ -37,7 +37,7 @@ def detect(
 ) -> Detections:
     """What is seen in a picture (h, w, 3), blue first. camera: straight lines are sought through its lens."""
     height, width = picture.shape[:2]
-    turf = find_turf(picture)
+    turf = find_turf(picture, colours)
     if turf.boundary_px is None:
         return Detections(width, height)
     plane = Plane(camera)

@@ -21,6 +21,7 @@ _MARK_WIDTHS, _MARK_LENGTH = 30.0, 0.15  # longer than so many widths or than th
 _STUB_WIDTHS = 3.5  # what is shorter, and neither at another line nor at the picture's border, is a patch
 _LIMB_WIDTHS = 8.0  # what is shorter and ends at something that is no turf is a part of that
 _LOWEST_PX = 8.0  # of the horizon above the field's border, surely
+_LOWEST_WIDTHS = 8.0  # of a line: so far below the horizon is one of 5 cm before a camera 40 cm high
 _TAPER = 0.25  # of the logarithm of a width, beyond perspective and three standard deviations
 _ALONG = np.linspace(0.05, 0.95, 9)[:, None]  # shares of a piece's length at which it is looked at
 _BEYOND = np.linspace(0.1, 1.0, 8)  # shares of the way looked at beyond a line's end
@@ -59,7 +60,8 @@ def sort_out(
     leaves = np.asarray(at_border.any(axis=1))
     firm = good & (~short | (leaves & leaves[:, None]))
     joined = (others & firm[:, None]).any(axis=2) | at_circle
-    lonely = ~joined.any(axis=1)
+    met = (others & good[:, None, None] & ~short[:, None, None]).any(axis=(0, 1))  # another one ends at it
+    lonely = ~joined.any(axis=1) & ~met
     mark = short & free.all(axis=1) & lonely
     stub = lonely & (length < _STUB_WIDTHS * width.max(axis=1)) & ~at_border.any(axis=1)
     # A wide line that ends at another, or at the picture's border, ends at something white, too.
@@ -120,19 +122,27 @@ def _tapers_as_turf(ends: FloatArray, width: FloatArray, sigma: FloatArray, turf
     """(n,) whose widths at either end are as perspective makes those of a stripe on the ground.
 
     Along a row, a stripe's width grows as the depth below the horizon; across the stripe, at most as its square. The
-    horizon is somewhere above the field's border. What stands upright is as wide above as below.
+    horizon is somewhere above the field's border, and so far above a stripe that the camera is not lower than any. What
+    stands upright is as wide above as below.
     """
     below = np.maximum(turf.below_px(ends), 0.0)
     wide = np.maximum(width, 0.3)
     grows = np.log(wide[:, 1] / wide[:, 0])
     noise = np.hypot(*(sigma / wide).T)
-    most = 2.0 * np.abs(np.log((below[:, 1] + _LOWEST_PX) / (below[:, 0] + _LOWEST_PX)))
     deep = below + HIGHEST * height
     least = np.log(deep[:, 1] / deep[:, 0])
+    down = ends[:, 1, 1] - ends[:, 0, 1]
+    far = np.where(down > 0.0, 0, 1)
+    row = np.arange(len(ends))
+    # green things behind the field make its border seem higher
+    near = np.minimum(below[row, far], _LOWEST_WIDTHS * wide[row, far]) + _LOWEST_PX
+    most = 2.0 * np.log1p(np.abs(down) / near)
     along = np.abs(ends[:, 1] - ends[:, 0])
     steep = along[:, 1] > _STEEP * np.hypot(along[:, 0], along[:, 1])
     upright = steep & (grows * np.sign(least) < 0.5 * np.abs(least) - 3.0 * noise)
-    return np.asarray((np.abs(grows) < most + _TAPER + 3.0 * noise) & ~upright)
+    slack = _TAPER + 3.0 * noise
+    grows = grows * np.where(down > 0.0, 1.0, -1.0)
+    return np.asarray((grows < most + slack) & (grows > -slack) & ~upright)
 
 
 def _beyond(

@@ -6,11 +6,14 @@ is seen; robots in front of it are bridged, as a field is convex.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldloc.colours import FieldColours
 from fieldloc.pose import FloatArray
 from fieldloc.vision.picture import UInt8Array
 
@@ -20,6 +23,8 @@ _LONG_SIDE_PX = 320  # of the reduced picture: a field's region needs no more
 _HUES = (24, 98)  # of 180: from yellowish to bluish green, what any turf or carpet sold as such lies in
 _SATURATION = 30  # of 255; what is greyer has no hue to speak of
 _CHROMA = 10  # of 255; what is darker has none either
+_POST_HUES = 6  # to either side of a post's own hue: shade and the light's colour change it so much
+_POST_PALE = 60  # of 255: a post that is less saturated has no hue to be known by
 _SHARE_OF_PEAK = 0.05  # hues as rare as this beside the peak are not turf
 _LEAST_SHARE = 0.02  # of the picture, for there to be a field at all
 _LEAST_PART = 0.001  # of the picture: smaller connected parts are specks
@@ -27,7 +32,13 @@ _SHARE_OF_SATURATION = 0.35  # of the turf's median, below which it is something
 _SHARE_OF_CHROMA = 0.35  # of the turf's median; deep shadow is at about a half
 _DENSE = 0.6  # share of the pixels around one in turf that have its colour
 _NARROW = 0.04  # of the width: what rises above the border over fewer columns is no turf
+_WIDE, _STEEP = (
+    0.12,
+    4.0,
+)  # nor what does over fewer than these, as steeply on either side: somebody in green behind the
+# field
 _RUN = 3  # rows of the reduced picture: a column with fewer in turf shows none
+_WHITE_POSTS = FieldColours()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,14 +71,15 @@ class Turf:
         return np.asarray(points_px[..., 1] - border, dtype=np.float64)
 
 
-def find_turf(picture: UInt8Array) -> Turf:
-    """The field in a picture; without mask and boundary where there is none."""
+def find_turf(picture: UInt8Array, colours: FieldColours = _WHITE_POSTS) -> Turf:
+    """The field in a picture; without mask and boundary where there is none. colours: a post right before the camera,
+    which may be larger than all the turf in sight and of a hue that turf could have, is not the field."""
     height, width = picture.shape[:2]
     factor = max(1.0, max(height, width) / _LONG_SIDE_PX)
     size = max(1, round(width / factor)), max(1, round(height / factor))
     scale = np.array([width / size[0], height / size[1]])
     small = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    coloured = _coloured(small)
+    coloured = _coloured(small, colours)
     dense = _dense(coloured)
     tops = _tops(dense)
     seen = np.isfinite(tops)
@@ -84,7 +96,7 @@ def find_turf(picture: UInt8Array) -> Turf:
     return Turf(mask, scale, (border + 0.5) * scale - 0.5, colour)
 
 
-def _coloured(small: UInt8Array) -> UInt8Array:
+def _coloured(small: UInt8Array, colours: FieldColours) -> UInt8Array:
     """255 where a pixel has the hue that is the turf's in this picture, in sun or shadow."""
     hsv = np.asarray(cv2.cvtColor(small, cv2.COLOR_BGR2HSV), dtype=np.uint8)
     chroma = np.asarray(cv2.multiply(hsv[:, :, 1], hsv[:, :, 2], scale=1 / 255), dtype=np.uint8)
@@ -95,7 +107,8 @@ def _coloured(small: UInt8Array) -> UInt8Array:
         return np.zeros(small.shape[:2], dtype=np.uint8)
     hue, vivid, saturation = hue[green], vivid[green], saturation[green]
     counts = np.convolve(np.bincount(hue, weights=rows[green] * vivid, minlength=180), np.full(5, 0.2), mode="same")
-    peak = int(np.argmax(counts))
+    others = np.where(_post_hues(colours), 0.0, counts)
+    peak = int(np.argmax(others if others.sum() > _LEAST_SHARE * counts.sum() else counts))
     rare = counts < _SHARE_OF_PEAK * counts[peak]
     least = max(_HUES[0], peak + 1 - int(np.argmax(rare[peak::-1])))
     most = min(_HUES[1], peak - 1 + int(np.argmax(rare[peak:])))
@@ -106,6 +119,15 @@ def _coloured(small: UInt8Array) -> UInt8Array:
     darker = max(_CHROMA, _SHARE_OF_CHROMA * _median(vivid[turf]))
     coloured = cv2.inRange(hsv, (least, paler, 0), (most, 255, 255))
     return np.asarray(cv2.bitwise_and(coloured, cv2.inRange(chroma, darker, 255)), dtype=np.uint8)
+
+
+@lru_cache(maxsize=16)
+def _post_hues(colours: FieldColours) -> Mask:
+    """(180,) the hues that posts have."""
+    posts = np.array([[one[::-1] for one in colours.posts]], dtype=np.uint8)
+    hue, saturation, _ = cv2.cvtColor(posts, cv2.COLOR_BGR2HSV)[0].T.astype(np.intp)
+    off = np.abs(np.arange(180)[:, None] - hue[saturation >= _POST_PALE])
+    return np.asarray((np.minimum(off, 180 - off) <= _POST_HUES).any(axis=1))
 
 
 def _median(values: UInt8Array) -> float:
@@ -135,9 +157,22 @@ def _tops(mask: Mask) -> FloatArray:
     best = excess.argmax(axis=1)
     heights = np.where(excess[np.arange(width), best] >= min(_RUN, height), best + 1.0, 0.0)
     # A post, a plant or a leg of the colour makes a peak of few columns, a field's corner does not.
-    window = max(3, round(_NARROW * width))
-    heights = cv2.morphologyEx(heights[None], cv2.MORPH_OPEN, np.ones((1, window), dtype=np.uint8))[0]
+    heights = _changed(heights, cv2.MORPH_OPEN, _NARROW)
+    # What stands before the border makes gaps in it, which are no steps beside what rises above it.
+    whole = _changed(heights, cv2.MORPH_CLOSE, _WIDE)
+    change = np.diff(whole)
+    for first, last in pairwise(np.flatnonzero(np.abs(change) > _STEEP).tolist()):
+        if change[first] > 0.0 > change[last] and last - first < _WIDE * width:
+            heights[first + 1 : last + 1] = np.minimum(heights, max(whole[first], whole[last + 1]))[
+                first + 1 : last + 1
+            ]
     return np.where(heights > 0.0, height - 0.5 - heights, np.nan)
+
+
+def _changed(heights: FloatArray, how: int, share: float) -> FloatArray:
+    """(w',) opened or closed: without peaks, or gaps, of fewer columns than that share of all."""
+    window = np.ones((1, max(3, round(share * len(heights)))), dtype=np.uint8)
+    return np.asarray(cv2.morphologyEx(heights[None], how, window)[0])
 
 
 def _upper_hull(points: FloatArray) -> FloatArray:
