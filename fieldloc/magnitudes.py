@@ -20,6 +20,8 @@ def check_magnitudes(measurement: LandmarkScan | ImageFeatures | Compass | Initi
     for name, numbers in _numbers(measurement):
         limit = _MOST**2 if name.startswith("covariance") else _MOST
         size = np.abs(np.asarray(numbers)).ravel()
+        if size.max(initial=0.0) <= limit:
+            continue  # all of them are, and none is not finite
         wrong = (size > limit) & np.isfinite(size) if missing else ~(size <= limit)
         if wrong.any():
             raise ValueError(f"{name} of {size[np.argmax(wrong)]:.3g} is no measurement: it is beyond {limit:.0e}")

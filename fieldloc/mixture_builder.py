@@ -131,7 +131,9 @@ class MixtureBuilder:
         again = self._noises.wider_shared(scan)
         sightings = self._of_sensor(scan)
         sector = None if sightings is None else sightings.sector
-        detection = replace(self._detection, nothing_right=self._wrong.share(self._detection.nothing_right))
+        detection = self._detection
+        if (wrong := self._wrong.share(detection.nothing_right)) > detection.nothing_right:
+            detection = replace(detection, nothing_right=wrong)
         misses = self._misses(scan)
         mixture = scan_mixture(scan, self._field, detection, wider, misses, noise, again, sector, distortion)
         if mixture is not None and sightings is not None:
@@ -172,6 +174,8 @@ class MixtureBuilder:
 
     def _wider_landmarks(self, stamp_ns: int) -> FloatArray:
         """(m, 2) by how much to widen the variances of range and bearing of each landmark on the map."""
-        age_s = np.array([self._repetition.age_s(index, stamp_ns) for index in range(len(self._field.landmarks))])
-        by_range = inflation(age_s, self._correlation.range_s)
-        return np.stack([by_range, inflation(age_s, self._correlation.bearing_s)], axis=-1)
+        age_s = self._repetition.ages_s(len(self._field.landmarks), stamp_ns)
+        out = np.empty((len(age_s), 2))
+        out[:, 0] = inflation(age_s, self._correlation.range_s)
+        out[:, 1] = inflation(age_s, self._correlation.bearing_s)
+        return out

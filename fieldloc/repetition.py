@@ -46,6 +46,11 @@ class Repetition:
         before_ns = self._last_ns.get(thing)
         return math.inf if before_ns is None else max(stamp_ns - before_ns, 0) * 1e-9
 
+    def ages_s(self, count: int, stamp_ns: int) -> FloatArray:
+        """(count,) of the things from 0 on."""
+        last_ns = map(self._last_ns.get, range(count))
+        return np.array([math.inf if one is None else max(stamp_ns - one, 0) * 1e-9 for one in last_ns])
+
 
 def inflation(age_s: FloatArray, correlation_s: float) -> FloatArray:
     """By how much (...) to widen variances of errors that are alike over a time, seen again after the ages (...)."""

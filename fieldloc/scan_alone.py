@@ -8,10 +8,12 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from fieldloc.mixture import IntArray
-from fieldloc.one_pose import bend
+from fieldloc.one_pose import arc, bend, wrapped
 from fieldloc.pose import FloatArray
-from fieldloc.scan_model import NEAREST_M, ScanModel
+from fieldloc.scan_model import NAMED_GATE, NEAREST_M, ScanModel
 
 ROUNDS = 3
 STRAIGHT = 0.05  # m, m, rad: a step that is no longer needs no further linearisation
@@ -56,7 +58,7 @@ class Alone(NamedTuple):
     least_gain: float
 
 
-class _Line(NamedTuple):
+class Line(NamedTuple):
     """Error of an observation's range and bearing, and their changes with the tangent at the pose."""
 
     range_m: float
@@ -71,8 +73,6 @@ class _Line(NamedTuple):
 
 def seen_of(model: ScanModel, matches: IntArray, wider: FloatArray | None) -> list[Seen]:
     """Observations that have a landmark, -1 for none. wider: as `ScanModel.terms` takes it."""
-    n = len(matches)
-    shared = [(0.0, 0.0)] * n if model.shared is None else model.shared.tolist()
     out = []
     for match, (x, y), (r, b), ((rr, rb), (_, bb)), log_peak, (plain_r, plain_b), (longer, turned), (by_r, by_b) in zip(
         matches.tolist(),
@@ -80,9 +80,9 @@ def seen_of(model: ScanModel, matches: IntArray, wider: FloatArray | None) -> li
         model.range_bearing.tolist(),
         model.covariance.tolist(),
         model.log_peak.tolist(),
-        shared,
+        model.shared_plain.tolist(),
         model.shared_widened.tolist(),
-        [(1.0, 1.0)] * n if wider is None else wider.tolist(),
+        [(1.0, 1.0)] * len(matches) if wider is None else wider.tolist(),
         strict=True,
     ):
         if match < 0:
@@ -100,7 +100,7 @@ def expanded_alone(seen: Sequence[Seen], pose: Vector, covariance: Symmetric) ->
     """At a pose of the sensor, straight where it leads; covariance of the tangent there."""
     step: Vector = (0.0, 0.0, 0.0)
     for _ in range(ROUNDS):
-        out = _expanded(seen, _lines(seen, pose, step), covariance)
+        out = _expanded(seen, linear(seen, pose, step), covariance)
         after = out.step
         if max(abs(after[0] - step[0]), abs(after[1] - step[1]), abs(after[2] - step[2])) < STRAIGHT:
             break
@@ -108,7 +108,56 @@ def expanded_alone(seen: Sequence[Seen], pose: Vector, covariance: Symmetric) ->
     return out
 
 
-def _lines(seen: Sequence[Seen], pose: Vector, step: Vector) -> list[_Line]:
+def fitted(seen: Sequence[Seen], pose: Vector, covariance: Symmetric, rounds: int) -> Vector:
+    """After so many steps to where the landmarks' own errors are least, each from a pose that is known so well."""
+    own = [one._replace(longer=0.0, turned=0.0) for one in seen]
+    for _ in range(rounds):
+        (forward, left, turn), (x, y, heading) = _expanded(own, linear(own, pose), covariance).step, pose
+        forward, left, turn = arc(forward, left, turn)
+        c, s = math.cos(heading), math.sin(heading)
+        pose = x + c * forward - s * left, y + s * forward + c * left, wrapped(heading + turn)
+    return pose
+
+
+def recognised(model: ScanModel, named: IntArray, pose: Vector) -> IntArray:
+    """(n,) landmark of each observation where the label that says so (n,) is likelier right than not, else -1."""
+    x, y, heading = pose
+    out = []
+    for landmark, (to_x, to_y), (r, b), ((rr, rb), (_, bb)), log_peak, (by_r, by_b), (s_r, s_b), (
+        wide_r,
+        wide_b,
+    ) in zip(
+        named.tolist(),
+        model.positions[named].tolist(),
+        model.range_bearing.tolist(),
+        model.covariance.tolist(),
+        model.log_peak.tolist(),
+        model.wider[named].tolist(),
+        model.shared_plain.tolist(),
+        model.shared_widened.tolist(),
+        strict=True,
+    ):
+        dx, dy = to_x - x, to_y - y
+        er = max(math.hypot(dx, dy), NEAREST_M) - r
+        eb = math.remainder(math.atan2(dy, dx) - heading - b, math.tau)
+        if not _misfit(er, eb, rr + s_r * s_r, rb, bb + s_b * s_b)[0] < NAMED_GATE:
+            out.append(-1)
+            continue
+        det = rr * bb - rb * rb
+        rr, rb, bb = by_r * rr, math.sqrt(by_r * by_b) * rb, by_b * bb
+        misfit, wide_det = _misfit(er, eb, rr + wide_r * wide_r, rb, bb + wide_b * wide_b)
+        worth = log_peak - 0.5 * (misfit + math.log(wide_det / (rr * bb - rb * rb) * det))
+        out.append(landmark if worth > 0.0 else -1)
+    return np.array(out, dtype=np.intp)
+
+
+def _misfit(er: float, eb: float, rr: float, rb: float, bb: float) -> tuple[float, float]:
+    """Chi-square of an error by its covariance, and the determinant of that."""
+    det = rr * bb - rb * rb
+    return (bb * er * er - 2.0 * rb * er * eb + rr * eb * eb) / det, det
+
+
+def linear(seen: Sequence[Seen], pose: Vector, step: Vector = (0.0, 0.0, 0.0)) -> list[Line]:
     """Straight where the step leads."""
     (x, y, heading), (forward, left, turn) = pose, step
     c, s = math.cos(heading), math.sin(heading)
@@ -125,7 +174,7 @@ def _lines(seen: Sequence[Seen], pose: Vector, step: Vector) -> list[_Line]:
         r0, r1, b0, b1 = b * s - a * c, -b * c - a * s, (a * s + b * c) / d, (b * s - a * c) / d
         r2, b2 = -c * by_x - s * by_y, (s * by_x - c * by_y) / d - 1.0
         out.append(
-            _Line(
+            Line(
                 d - one.range_m - (r0 * forward + r1 * left + r2 * turn),
                 math.remainder(bearing - one.bearing_rad, math.tau) - (b0 * forward + b1 * left + b2 * turn),
                 r0,
@@ -139,7 +188,7 @@ def _lines(seen: Sequence[Seen], pose: Vector, step: Vector) -> list[_Line]:
     return out
 
 
-def _expanded(seen: Sequence[Seen], lines: Sequence[_Line], covariance: Symmetric) -> Alone:
+def _expanded(seen: Sequence[Seen], lines: Sequence[Line], covariance: Symmetric) -> Alone:
     # written out: this is where the time goes
     constant = g0 = g1 = g2 = gl = gt = 0.0
     a00 = a01 = a02 = a11 = a12 = a22 = l0 = l1 = l2 = t0 = t1 = t2 = 0.0

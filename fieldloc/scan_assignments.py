@@ -11,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
+from fieldloc.scan_alone import recognised
 from fieldloc.scan_model import Errors, ScanModel
 from fieldloc.scan_moments import Upper, determinant
 from fieldloc.scan_pairs import Pairs
@@ -127,11 +128,13 @@ def _best(parent: IntArray, score: FloatArray, h: int) -> IntArray:
 
 def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
     """(n,) landmark of each observation, -1 for none, in the best assignment from one pose (3,)."""
+    if model.named is not None and model.survey is None:
+        x, y, heading = pose.tolist()
+        return recognised(model, model.named, (x, y, heading))
     which = np.arange(len(model.positions)) if model.named is None else model.named
     errors = model.errors(pose[None], which)
     plain, _ = model.noise_at(errors, None, model.covariance)
-    shared = np.zeros((2, len(model.range_bearing))) if model.shared is None else model.shared.T
-    misfit, _ = _misfit(errors, plain, shared)
+    misfit, _ = _misfit(errors, plain, model.shared_plain.T)
     row, column = np.nonzero((misfit[:, 0] < model.gates[:, None]) & model.may[:, which])
     wider = model.widening(row, which[column])
     _, widened = model.noise_at(errors, wider, model.covariance)

@@ -122,10 +122,11 @@ class Coverage:
             aside = math.remainder(at - self.middle_rad - bearing_rad, math.tau)
             if near_m < far_m and abs(aside) * near_m < own_m + _BODY_RAD * near_m:
                 return True
-        for to_x, to_y, radius_m in self._landmarks:
-            near_m = math.sqrt((to_x - x) ** 2 + (to_y - y) ** 2)
-            if near_m < far_m:
-                at = math.atan2(to_y - y, to_x - x) - heading - self.middle_rad
+        for other, (to_x, to_y, radius_m) in enumerate(self._landmarks):
+            dx, dy = to_x - x, to_y - y
+            near_m = math.sqrt(dx * dx + dy * dy)
+            if near_m < far_m and other != landmark:
+                at = math.atan2(dy, dx) - heading - self.middle_rad
                 if abs(math.remainder(at - bearing_rad, math.tau)) * near_m < own_m + radius_m + _BODY_RAD * near_m:
                     return True
         return False
@@ -169,7 +170,8 @@ class Misses:
     def log_anywhere(self) -> float:
         """Of all that is covered, for a robot that may be anywhere."""
         every = self.power * self.coverage.anywhere
-        return float(np.logaddexp.reduce(every) - np.log(len(every)))
+        most = float(every.max())
+        return most + math.log(float(np.exp(every - most).mean()))
 
 
 class Sightings:

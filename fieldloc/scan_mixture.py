@@ -13,8 +13,7 @@ has that of a robot that may be anywhere.
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from fieldloc.one_pose import composed
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.scan_assignments import likeliest
+from fieldloc.scan_constants import frames_of, on_map_of
 from fieldloc.scan_coverage import Misses
 from fieldloc.scan_distortion import PERFECT, ScanDistortion
 from fieldloc.scan_expansion import expand
@@ -71,7 +71,7 @@ class ScanMixture:
         return self._solutions
 
     def expand(self, poses: FloatArray, covariances: FloatArray) -> Expansion:
-        frames = _frames(*self.scan.robot_from_sensor.tolist())
+        frames = frames_of(*self.scan.robot_from_sensor.tolist())
         at, spread = poses, covariances
         if frames is not None:
             mount = self.scan.robot_from_sensor
@@ -181,7 +181,7 @@ class ScanMixture:
 
     def landmarks_seen(self, pose: FloatArray) -> tuple[int, ...]:
         """Map indices of what was seen, by the likeliest explanation for a robot at the pose (3,)."""
-        matches = likeliest(self.model, se2.compose(pose, self.scan.robot_from_sensor))
+        matches = likeliest(self.model, composed(pose, self.scan.robot_from_sensor))
         return tuple(matches[matches >= 0].tolist())
 
     def _intern(self, matches: IntArray) -> IntArray:
@@ -261,16 +261,17 @@ def scan_mixture(
     None where no landmark can be of the map. Left out are landmarks with a label that is not on the map, and numbers
     that no sensor can mean. ValueError for a covariance that is not positive definite.
     """
-    on_map = _on_map(field)
+    on_map = on_map_of(field)
     seen, m = scan.range_bearing, len(field.landmarks)
     index = np.array(
         [_ANY if label is None else on_map.row_of.get(label, _NONE) for label in scan.labels], dtype=np.intp
     )
-    rows = np.flatnonzero((index != _NONE) & np.isfinite(seen).all(axis=1) & (seen[:, 0] > 0.0))
-    if not len(rows) or not m:
+    good = (index != _NONE) & (seen[:, 0] > 0.0) & np.isfinite(seen).all(axis=1)
+    if not m or not good.any():
         return None
     used = scan
-    if len(rows) < len(index):
+    if not good.all():
+        rows = np.flatnonzero(good)
         index, labels = index[rows], tuple(scan.labels[row] for row in rows)
         used = LandmarkScan(scan.stamp_ns, labels, seen[rows], scan.covariance[rows], scan.robot_from_sensor)
     covariance = used.covariance
@@ -283,7 +284,7 @@ def scan_mixture(
     may = (np.arange(m) == index[:, None]) | (index[:, None] == _ANY)
     r = used.range_bearing[:, 0]
     log_anywhere = -math.log(2 * math.pi * max(on_map.diagonal_m, float(r.max())))
-    log_wrong = np.full(len(rows), log_anywhere)
+    log_wrong = np.full(len(index), log_anywhere)
     if sector is not None:
         log_wrong = sector.log_density(used.range_bearing, log_anywhere)
     log_clutter = math.log(detection.clutter) + log_wrong
@@ -326,34 +327,3 @@ def scan_mixture(
         measured=measured,
         misses=misses,
     )
-
-
-class _Frames(NamedTuple):
-    """(3, 3) from a robot's tangent to its sensor's, and back."""
-
-    to_sensor: FloatArray
-    to_robot: FloatArray
-
-
-@lru_cache(maxsize=16)
-def _frames(x_m: float, y_m: float, turned_rad: float) -> _Frames | None:
-    """Of a sensor that is mounted there; None where it is the robot's origin."""
-    mount = np.array([x_m, y_m, turned_rad])
-    return _Frames(se2.adjoint(se2.inverse(mount)), se2.adjoint(mount)) if mount.any() else None
-
-
-class _OnMap(NamedTuple):
-    """row_of: a landmark by its label. diagonal_m: of the whole map. survey_m2: largest variance of a place."""
-
-    row_of: dict[str, int]
-    diagonal_m: float
-    survey_m2: float
-
-
-@lru_cache(maxsize=16)
-def _on_map(field: FieldMap) -> _OnMap:
-    """Of a map that is compared by identity."""
-    x_min, y_min, x_max, y_max = field.bounds
-    survey_m2 = float(np.trace(field.positions_covariance, axis1=-2, axis2=-1).max(initial=0.0))
-    row_of = {label: i for i, label in enumerate(field.labels)}
-    return _OnMap(row_of, math.hypot(x_max - x_min, y_max - y_min), survey_m2)

@@ -131,12 +131,15 @@ class ScanModel:
         peak = np.where(matched, self.log_peak - 0.5 * np.log(det), 0.0)
         return Terms(peak, error, weight, jacobian, of_shared)
 
+    @property
+    def shared_plain(self) -> FloatArray:
+        """(n, 2); zeros for nothing."""
+        return np.zeros((len(self.range_bearing), 2)) if self.shared is None else self.shared
+
     @cached_property
     def shared_widened(self) -> FloatArray:
         """(n, 2); zeros for nothing."""
-        if self.shared is None:
-            return np.zeros((len(self.range_bearing), 2))
-        return np.asarray(self.shared * np.sqrt(self.wider_shared))
+        return np.asarray(self.shared_plain * np.sqrt(self.wider_shared))
 
     def near_any(self, poses: FloatArray) -> BoolArray:
         """(n, m): what may be what from one of the poses (h, 3) at least, by errors that are not widened."""

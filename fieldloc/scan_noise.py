@@ -4,6 +4,7 @@ Who states 5 % of a range may mean 3 %; and where a camera is tilted or turned a
 long together, all bearings too large. Each landmark then has an error of its own beside what all of one scan share.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,8 +28,8 @@ class ScanNoise:
     def of(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Covariances (n, 2, 2) of range and bearing as stated become each landmark's own, and standard deviations
         (n, 2) of what is shared, None for nothing."""
-        scale = np.sqrt([self.own_range, self.own_bearing])
-        own = covariance * (scale[:, None] * scale)
+        both = math.sqrt(self.own_range * self.own_bearing)
+        own = covariance * np.array([[self.own_range, both], [both, self.own_bearing]])
         if self.shared_range <= 0.0 and self.shared_bearing <= 0.0:
             return own, None
         return own, np.sqrt(shared_directions(covariance) ** 2 * [self.shared_range, self.shared_bearing])
@@ -58,6 +59,7 @@ UNLEARNED = NoisePrior(shared=0.0, own_log_sigma=0.0, shared_log_sigma=0.0)
 
 def shared_directions(covariance: FloatArray) -> FloatArray:
     """(n, 2) standard deviations in range and bearing that a shared error has if it is as large as the stated ones."""
-    variances = np.diagonal(covariance, axis1=-2, axis2=-1).copy()
-    variances[:, 1] = variances[:, 1].mean()
-    return np.sqrt(variances)
+    out = np.empty((len(covariance), 2))
+    out[:, 0] = covariance[:, 0, 0]
+    out[:, 1] = covariance[:, 1, 1].sum() / max(len(covariance), 1)
+    return np.sqrt(out)

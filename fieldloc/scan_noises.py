@@ -10,8 +10,10 @@ from fieldloc import pose as se2
 from fieldloc.covariance import propagate
 from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import IntArray
+from fieldloc.one_pose import composed
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation, inflation
+from fieldloc.scan_alone import fitted, linear, seen_of
 from fieldloc.scan_distortion import KNOWN, DistortionLearner, DistortionPrior, ScanDistortion
 from fieldloc.scan_expansion import expand
 from fieldloc.scan_mixture import ScanMixture
@@ -23,6 +25,7 @@ _EVERY_S = 0.5  # what comes sooner is much the same
 _SENSORS = 16
 _STEPS = 2  # to where a scan fits best
 _FLAT = 1e-2 * np.eye(3)  # of information: two landmarks in line leave a direction open
+_HERE = (100.0, 0.0, 0.0, 100.0, 0.0, 100.0)  # the inverse
 _SURE = 0.9  # probability of the likeliest assignment, beside all others
 _ABOUT = np.diag([0.1, 0.1, 0.05]) ** 2  # m, m, rad: how well poses are known from which landmarks are told apart
 
@@ -85,7 +88,7 @@ class ScanNoises:
         age_s = math.inf if before_ns is None else (scan.stamp_ns - before_ns) * 1e-9
         if age_s < _EVERY_S:
             return
-        at = se2.compose(pose, scan.robot_from_sensor)
+        at = composed(pose, scan.robot_from_sensor)
         # which is which, what was seen before tells as well as what was not
         model = replace(mixture.model, wider=np.ones_like(mixture.model.wider), wider_shared=np.ones(2))
         near, every = expand(model, at[None], _ABOUT[None])
@@ -95,7 +98,7 @@ class ScanNoises:
         rows = np.flatnonzero(matches >= 0)
         if len(rows) < 2:
             return
-        met = _met(model, at, matches, rows, scan, mixture.field_map.positions_covariance)
+        met = errors_at_best(model, at, matches, rows, scan, mixture.field_map.positions_covariance)
         range_bearing = scan.range_bearing[rows]
         unknown = learners.distortion.uncertainty(range_bearing)
         news = 1.0 / float(inflation(np.array(age_s), self._correlation.range_s))
@@ -128,20 +131,27 @@ class ScanNoises:
         return fresh
 
 
-def _met(
+def errors_at_best(
     model: ScanModel, at: FloatArray, matches: IntArray, rows: IntArray, scan: LandmarkScan, survey: FloatArray
 ) -> ScanErrors:
     """Errors of the rows of a scan, seen from where they are least, about (3,)."""
-    for _ in range(_STEPS):
+    if model.survey is None:
+        x, y, heading = at.tolist()
+        seen = seen_of(model, matches, None)
+        found = fitted(seen, (x, y, heading), _HERE, _STEPS)
+        lines, heading = np.array(linear(seen, found)), found[2]
+        error, jacobian = lines[:, :2], lines[:, 2:].reshape(-1, 2, 3)
+    else:
+        for _ in range(_STEPS):
+            terms = model.terms(at[None], matches[None], None)
+            error, jacobian, weight = terms.error[0, rows], terms.jacobian[0, rows, :, :3], terms.weight[0, rows]
+            information = np.einsum("nki,nkl,nlj->ij", jacobian, weight, jacobian)
+            gradient = np.einsum("nki,nkl,nl->i", jacobian, weight, error)
+            at = se2.retract(at, -np.linalg.solve(information + _FLAT, gradient))
         terms = model.terms(at[None], matches[None], None)
-        error, jacobian, weight = terms.error[0, rows], terms.jacobian[0, rows, :, :3], terms.weight[0, rows]
-        information = np.einsum("nki,nkl,nlj->ij", jacobian, weight, jacobian)
-        gradient = np.einsum("nki,nkl,nl->i", jacobian, weight, error)
-        at = se2.retract(at, -np.linalg.solve(information + _FLAT, gradient))
-    terms = model.terms(at[None], matches[None], None)
-    jacobian = terms.jacobian[0, rows]
-    by_place = jacobian[:, :, :2] @ se2.rotation(-at[2])  # up to the sign
+        error, jacobian, heading = terms.error[0, rows], terms.jacobian[0, rows, :, :3], float(at[2])
+    by_place = jacobian[:, :, :2] @ se2.rotation(-heading)  # up to the sign
     n = len(rows)
     other = np.zeros((n, 2, n, 2))
     other[np.arange(n), :, np.arange(n)] = propagate(by_place, survey[matches[rows]])
-    return ScanErrors(terms.error[0, rows], jacobian[..., :3], scan.covariance[rows], other.reshape(2 * n, 2 * n))
+    return ScanErrors(error, jacobian, scan.covariance[rows], other.reshape(2 * n, 2 * n))

@@ -1,5 +1,7 @@
 """One assignment from one pose, by plain numbers, against the arrays that many of them take."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,9 +16,11 @@ from fieldloc.measurements import LandmarkScan
 from fieldloc.mixture import Expansion
 from fieldloc.one_pose import arc, spread
 from fieldloc.pose import FloatArray
+from fieldloc.scan_assignments import likeliest
 from fieldloc.scan_coverage import Coverage, Misses, Sightings
 from fieldloc.scan_mixture import ScanMixture, scan_mixture
 from fieldloc.scan_noise import AS_STATED, ScanNoise
+from fieldloc.scan_noises import errors_at_best
 
 MOUNT = np.array([0.2, -0.1, 0.7])
 MARKS = 9
@@ -113,3 +117,38 @@ def test_what_one_pose_misses_is_what_many_poses_miss(seed: int) -> None:
 def test_one_arc_is_one_of_many(tangent: tuple[float, float, float]) -> None:
     np.testing.assert_allclose(np.array(arc(*tangent)), se2.exp(np.array(tangent)), atol=1e-12)
     np.testing.assert_allclose(spread(*tangent), se2.right_jacobian(np.array(tangent)), atol=1e-12)
+
+
+@pytest.mark.parametrize("again", [True, False])
+@pytest.mark.parametrize("noise", [AS_STATED, ScanNoise(0.6, 0.8, 0.3, 0.4)])
+def test_labels_are_believed_alike_on_a_map_that_is_exact_and_one_that_is_known_to_be(
+    again: bool, noise: ScanNoise
+) -> None:
+    """A survey without errors is left to arrays."""
+    right = wrong = 0
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        pose = random.uniform([-2.0, -2.0, -np.pi], [2.0, 2.0, np.pi])
+        model = mixture(random, pose, True, noise, again).model
+        at = se2.retract(se2.compose(pose, MOUNT), random.normal(0.0, 0.05, 3))
+        surveyed = replace(model, survey=np.zeros((MARKS, 2, 2)))
+        seen = likeliest(model, at)
+        assert seen.tolist() == likeliest(surveyed, at).tolist()
+        right, wrong = right + np.count_nonzero(seen >= 0), wrong + np.count_nonzero(seen < 0)
+    assert right > 20
+    assert wrong > 5
+
+
+def test_errors_are_least_at_the_same_place_by_plain_numbers() -> None:
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        pose = random.uniform([-2.0, -2.0, -np.pi], [2.0, 2.0, np.pi])
+        seen = mixture(random, pose, True, ScanNoise(0.6, 0.8, 0.3, 0.4), False)
+        assert seen.model.named is not None
+        at, rows = se2.compose(pose, MOUNT), np.arange(len(seen.model.named))
+        one, other = (
+            errors_at_best(model, at, seen.model.named, rows, seen.scan, seen.field_map.positions_covariance)
+            for model in (seen.model, replace(seen.model, survey=np.zeros((MARKS, 2, 2))))
+        )
+        for mine, theirs in zip(one, other, strict=True):
+            np.testing.assert_allclose(mine, theirs, rtol=1e-7, atol=1e-9)
