@@ -160,7 +160,7 @@ class _Settling:
         mixture = self._recorded.mixtures[index][1]
         near = mixture.expand(pose[None], covariance[None])
         ids = np.concatenate([[-1], near.ids])
-        worth = np.concatenate([[mixture.log_outlier], near.evidence])
+        worth = np.concatenate([near.log_blind(mixture, 1), near.evidence])
         best = int(np.argmax(worth + _TIE * (ids == before)))
         choice = int(ids[best])
         if mixture.by_compass and choice >= 0:

@@ -246,7 +246,7 @@ class _Sweep:
         across = whole @ np.swapaxes(to_seen, -1, -2)
         seen = to_seen @ across
         near = mixture.expand(poses, seen)
-        rows, margins, log_evidence = picked(near, len(tracks), mixture.log_outlier, self._hints[tracks, index])
+        rows, margins, log_evidence = picked(near, near.log_blind(mixture, len(tracks)), self._hints[tracks, index])
         new = np.ones(len(tracks), dtype=bool) if self._forwards else index < self._seed_indices[tracks]
         self.margins[tracks[new], index] = margins[new]
         self.log_evidence[tracks[new], index] = log_evidence[new]
@@ -270,17 +270,15 @@ class _Sweep:
         self.covariance[tracks] = 0.5 * (left + np.swapaxes(left, -1, -2))
 
 
-def picked(
-    near: Expansion, parents: int, log_outlier: float, hints: IntArray
-) -> tuple[IntArray, FloatArray, FloatArray]:
+def picked(near: Expansion, log_blind: FloatArray, hints: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """Row of the best solution per parent (h,), -1 where none is better than the outlier; by how much (log) it beats
     the next best; the evidence of all together.
 
-    hints: (h,) ids that are taken rather than a slightly better one.
+    log_blind: (h,) evidence of the outlier. hints: (h,) ids that are taken rather than a slightly better one.
     """
-    rows = np.full(parents, -1, dtype=np.intp)
-    best, total = np.full(parents, log_outlier), np.full(parents, log_outlier)
-    next_best = np.full(parents, -np.inf)
+    rows = np.full(len(log_blind), -1, dtype=np.intp)
+    best, total = log_blind.copy(), log_blind.copy()
+    next_best = np.full(len(log_blind), -np.inf)
     if len(near.ids):
         evidence = near.evidence
         np.logaddexp.at(total, near.parent, evidence)

@@ -62,7 +62,8 @@ class Expansion:
     parent: (c,) row of the pose. ids: (c,) what `MixtureFactor.chosen` takes. constant: (c,), gradient: (c, 3),
     information: (c, 3, 3), which has no inverse where a solution leaves a direction free.
     covariance: (c, 3, 3) of the tangent before the observation; what is derived below is under it. known: that, where
-    it has been worked out.
+    it has been worked out. blind: (h,) log evidence of nothing being right for each of the poses, where that is not the
+    mixture's `log_outlier` for all of them.
     """
 
     parent: IntArray
@@ -72,6 +73,11 @@ class Expansion:
     information: FloatArray
     covariance: FloatArray
     known: After | None = None
+    blind: FloatArray | None = None
+
+    def log_blind(self, mixture: "MixtureFactor", poses: int) -> FloatArray:
+        """(h,) log evidence of nothing being right, for each of so many poses that this is the expansion of."""
+        return np.full(poses, mixture.log_outlier) if self.blind is None else self.blind
 
     def take(self, rows: IntArray) -> "Expansion":
         """Those solutions (n,), in rising order."""
@@ -85,6 +91,7 @@ class Expansion:
             self.information[rows],
             self.covariance[rows],
             After(*(part[rows] for part in self.after)),
+            self.blind,
         )
 
     def likelier(self, by: FloatArray | float, ids: IntArray) -> "Expansion":
@@ -98,6 +105,7 @@ class Expansion:
             self.information,
             self.covariance,
             After(shrink, step, updated, evidence + by),
+            self.blind,
         )
 
     def of(self, mount: FloatArray, back: FloatArray, covariances: FloatArray) -> "Expansion":
@@ -112,6 +120,7 @@ class Expansion:
             mount.T @ self.information @ mount,
             covariances[self.parent],
             After(back @ after.shrink @ mount, after.step @ back.T, updated, after.evidence),
+            self.blind,
         )
 
     @cached_property

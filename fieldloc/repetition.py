@@ -26,7 +26,7 @@ class ErrorCorrelation:
 
     range_s: float = 3.0
     bearing_s: float = 0.5
-    image_s: float = 1.0
+    image_s: float = 0.3
     compass_s: float = 5.0
     hidden_s: float = 0.5
 

@@ -53,8 +53,6 @@ def test_who_may_be_anywhere_is_found_as_by_the_first_one() -> None:
         np.testing.assert_allclose(
             np.ptp(then.log_weights - first.log_weights) if len(first.ids) else 0.0, 0.0, atol=1e-9
         )
-        per_pose = again.log_integral - LOG_VOLUME
-        assert per_pose == pytest.approx((one.log_integral - LOG_VOLUME) / again.wider)
 
 
 def test_ids_mean_the_same_for_who_saw_the_last_one() -> None:
@@ -73,16 +71,43 @@ def test_it_speaks_for_the_lost_as_loudly_as_against_the_misplaced() -> None:
     """An image that fits nowhere but where the robot is: many in a row have to find it as soon as one in full would
     after as many independent ones."""
     for one, again in IMAGES:
-        in_full = one.log_integral - LOG_VOLUME - one.log_outlier
-        assert again.log_integral - LOG_VOLUME - again.log_outlier == pytest.approx(in_full / again.wider)
-
-
-def test_where_it_is_known_to_be_it_is_the_wider_one() -> None:
-    poses = np.array([[1.0, 2.0, 0.5], [-3.0, 0.0, 3.0]])
-    covariances = np.tile(np.diag([0.1, 0.1, 0.05]) ** 2, (2, 1, 1))
-    for _, again in IMAGES[:10]:
-        np.testing.assert_array_equal(again.log_likelihood(poses), again.again.log_likelihood(poses))
-        np.testing.assert_array_equal(
-            again.expand(poses, covariances).evidence, again.again.expand(poses, covariances).evidence
+        in_full, then = (
+            np.logaddexp(mixture.log_outlier, mixture.log_integral - LOG_VOLUME) - mixture.log_outlier
+            for mixture in (one, again)
         )
-        assert (again.symmetric, again.by_compass, again.stamp_ns) == (True, False, again.again.stamp_ns)
+        assert then == pytest.approx(in_full / again.wider)
+
+
+def test_to_a_robot_at_a_known_place_it_is_the_power_of_the_whole_image() -> None:
+    """However many solutions lead there."""
+    point = np.diag([1e-4, 1e-4, 1e-4]) ** 2
+    checked = 0
+    for one, again in IMAGES:
+        for pose in one.solutions().poses[:3]:
+            near = again.expand(pose[None], point[None])
+            whole = np.logaddexp.reduce([*near.evidence, *near.log_blind(again, 1)])
+            assert whole == pytest.approx(float(one.log_likelihood(pose)) / again.wider, abs=0.02)
+            assert again.log_likelihood(pose) == pytest.approx(one.log_likelihood(pose) / again.wider)
+            checked += len(near.ids) > 1
+    assert checked > 20
+
+
+def test_who_is_where_nothing_fits_loses_no_more_than_a_share_of_an_image() -> None:
+    for one, again in IMAGES:
+        if not len(found := one.solutions().poses):
+            continue
+        poses = np.stack([found[0], [40.0, 0.0, 0.0]])
+        near = again.expand(poses, np.tile(np.diag([0.01, 0.01, 0.01]) ** 2, (2, 1, 1)))
+        here = np.logaddexp.reduce([*near.evidence[near.parent == 0], near.log_blind(again, 2)[0]])
+        there = near.log_blind(again, 2)[1]
+        in_full = one.log_likelihood(found[0]) - one.log_outlier
+        assert 0.0 < here - there < 1.001 * in_full / again.wider
+
+
+def test_what_is_derived_of_an_expansion_keeps_what_nothing_being_right_is_worth() -> None:
+    again = next(again for one, again in IMAGES if len(one.solutions().ids) > 1)
+    poses = again.solutions().poses[:2]
+    near = again.expand(poses, np.tile(np.diag([0.1, 0.1, 0.05]) ** 2, (2, 1, 1)))
+    turned = near.of(np.eye(3), np.eye(3), np.tile(np.eye(3), (2, 1, 1)))
+    for other in (near.take(np.arange(1)), near.likelier(1.0, near.ids), turned):
+        np.testing.assert_array_equal(other.log_blind(again, 2), near.log_blind(again, 2))

@@ -72,7 +72,7 @@ class Children:
         sight = Sight.of(bank, sides, mixture.symmetric, view)
         seen = mixture.expand(sight.poses, sight.covariances)
         log_weights = sight.log_weights[seen.parent] + seen.evidence[:, None]
-        blind = sight.log_weights + mixture.log_outlier
+        blind = sight.log_weights + seen.log_blind(mixture, len(sight.poses))[:, None]
         return Children(seen, sight.rows[seen.parent], log_weights, sight.rows, blind, of_each(sight.log_weights))
 
     def tempered(self, share: float) -> "Children":

@@ -197,7 +197,7 @@ class FewSamples:
         order = np.lexsort((-out.evidence, out.parent))
         parents, first = np.unique(out.parent[order], return_index=True)
         rows = order[first]
-        good = out.evidence[rows] > mixture.log_outlier
+        good = out.evidence[rows] > out.log_blind(mixture, len(self._poses))[parents]
         parents, rows = parents[good], rows[good]
         self._poses[parents] = se2.retract(self._poses[parents], out.step[rows])
         self._covariances[parents] = out.updated[rows]

@@ -76,17 +76,18 @@ def _ways(
     if not len(out.ids):
         return None
     part, copy = np.divmod(out.parent, several)
+    log_blind = out.log_blind(mixture, len(at)).reshape(number, several).max(axis=1)
     log_share = out.evidence + (np.log(np.maximum(sides[part, copy], 1e-300)) if several > 1 else 0.0)
     order = np.lexsort((-log_share, part))
     part, log_share = part[order], log_share[order]
     rank = np.arange(len(part)) - np.searchsorted(part, part)
-    kept = (rank < _MOST_WAYS) & (log_share > mixture.log_outlier - 5.0)
+    kept = (rank < _MOST_WAYS) & (log_share > log_blind[part] - 5.0)
     if not kept.any():
         return None
     part, log_share, rank, order = part[kept], log_share[kept], rank[kept] + 1, order[kept]
     width = int(rank.max()) + 1
     logs = np.full((number, width), -np.inf)
-    logs[:, 0], logs[part, rank] = mixture.log_outlier, log_share
+    logs[:, 0], logs[part, rank] = log_blind, log_share
     shares = np.exp(logs - np.logaddexp.reduce(logs, axis=1)[:, None])
     steps, covariances = np.zeros((number, width, 3)), np.repeat(before[:, None], width, axis=1)
     steps[part, rank] = out.step[order]
