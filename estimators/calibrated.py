@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimators.config import Calibration, Config, Sensor
+from estimators.fused import fused
 from estimators.motion import OdometryCalibration
 from estimators.sensor import SensorCalibration
 from estimators.solution import Solution, global_means, global_sigmas
@@ -81,8 +81,7 @@ class RobotCalibration:
     """quantities: in the order of estimators.solution. late: how late the robot does what its odometry says.
     covariance: (11, 11) of the former.
 
-    disagreement: chi-square per degree of freedom of several logs about their common estimate, 1 where they agree as
-    well as they claim to; where it is more, all sigmas are wider by its root. NaN for one log.
+    disagreement: of several logs, as in estimators.fused.
     """
 
     quantities: tuple[Quantity, ...]
@@ -115,20 +114,15 @@ def calibrated(
         raise ValueError("no solution to calibrate from")
     prior_mean, prior_sigma = global_means(config), global_sigmas(config)
     free = prior_sigma > 0.0
-    said = [_likelihood(solution, prior_mean, prior_sigma, free) for solution in solutions]
-    information = np.diag(1.0 / prior_sigma[free] ** 2) + sum(one for one, _ in said)
-    covariance = np.linalg.inv(information)
-    mean = covariance @ (prior_mean[free] / prior_sigma[free] ** 2 + sum(weighted for _, weighted in said))
-    apart = sum(
-        float((weighted - one @ mean) @ np.linalg.pinv(one, hermitian=True) @ (weighted - one @ mean))
-        for one, weighted in said
-    )
-    freedom = (len(solutions) - 1) * int(free.sum())
-    disagreement = apart / freedom if freedom else float("nan")
+    said = [
+        (np.array([*one.calibration, *one.sensor])[free], one.global_covariance[np.ix_(free, free)])
+        for one in solutions
+    ]
+    together = fused(prior_mean[free], np.diag(prior_sigma[free] ** 2), said)
     whole = np.zeros((len(free), len(free)))
-    whole[np.ix_(free, free)] = covariance * max(1.0, np.nan_to_num(disagreement))
+    whole[np.ix_(free, free)] = together.covariance
     values = prior_mean.copy()
-    values[free] = mean
+    values[free] = together.mean
     sigmas = with_open_place(np.sqrt(np.diagonal(whole)), prior_sigma, place_sigmas)
     quantities = tuple(
         Quantity.found("calibration" if k < _ODOMETRY else "sensor", name, *numbers)
@@ -136,7 +130,7 @@ def calibrated(
             zip(_NAMES, *(each.tolist() for each in (prior_mean, values, sigmas, prior_sigma)), strict=True)
         )
     )
-    return RobotCalibration(quantities, _late(solutions, quantities[_DELAY], config), whole, disagreement)
+    return RobotCalibration(quantities, _late(solutions, quantities[_DELAY], config), whole, together.disagreement)
 
 
 def with_open_place(sigmas: FloatArray, prior_sigmas: FloatArray, place_sigmas: FloatArray | None) -> FloatArray:
@@ -145,18 +139,6 @@ def with_open_place(sigmas: FloatArray, prior_sigmas: FloatArray, place_sigmas: 
     if place_sigmas is not None:
         out[_PLACE] = np.hypot(out[_PLACE], place_sigmas)
     return np.minimum(out, prior_sigmas)
-
-
-def _likelihood(
-    solution: Solution, prior_mean: FloatArray, prior_sigma: FloatArray, free: NDArray[np.bool_]
-) -> tuple[FloatArray, FloatArray]:
-    """Information matrix and vector of what is free, without the prior's."""
-    mean = np.array([*solution.calibration, *solution.sensor])[free]
-    posterior = np.linalg.inv(solution.global_covariance[np.ix_(free, free)])
-    prior = np.diag(1.0 / prior_sigma[free] ** 2)
-    values, vectors = np.linalg.eigh(posterior - prior)  # rounding must not make it say less than nothing
-    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return information, posterior @ mean - prior @ prior_mean[free]
 
 
 def _late(solutions: Sequence[Solution], eyes: Quantity, config: Config) -> Quantity:

@@ -111,6 +111,7 @@ def resolve(
     order, ranked = _ranked(settled, np.array(evidence), best)
     return Resolution(
         answer.solution,
+        answer.chain,
         answer.choices,
         tuple(put_down_ns(*(stamps_ns[k] for k in recorded.between(answer.choices, node))) for node in answer.breaks),
         tuple(settled[i] for i in order),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.base import Ambiguity, Event, Hypothesis
+from estimators.chain import Chain
 from estimators.joint import Settled
 from estimators.solution import Solution
 from fieldloc import pose as se2
@@ -22,13 +23,14 @@ _APART_NS = 500_000_000
 class Resolution:
     """The likeliest reading of a log, on its likeliest copies of the field.
 
-    choices: (t,) solution per observed mixture, -1 for none. breaks_ns: when the robot was carried. candidates: the
-    readings that were solved, this one first; log_evidence, probabilities: (c,) of them. copies: (s, k) probability of
-    each copy under the map's symmetries, the reported one first, in each of the stretches between breaks; moves:
-    (s, k, 3) the symmetries that take the reported one there.
+    chain: what the solution is of. choices: (t,) solution per observed mixture, -1 for none. breaks_ns: when the robot
+    was carried. candidates: the readings that were solved, this one first; log_evidence, probabilities: (c,) of them.
+    copies: (s, k) probability of each copy under the map's symmetries, the reported one first, in each of the stretches
+    between breaks; moves: (s, k, 3) the symmetries that take the reported one there.
     """
 
     solution: Solution
+    chain: Chain
     choices: IntArray
     breaks_ns: tuple[int, ...]
     candidates: tuple[Settled, ...]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimators.base import Ambiguity, Estimate, Event, Hypothesis, Innovation
-from estimators.chain import ChainRecorder, Recorded
+from estimators.chain import Chain, ChainRecorder, Recorded
 from estimators.config import Config
 from estimators.ekf import Ekf
 from estimators.engines import solver
@@ -50,6 +50,8 @@ class Smoother:
         self._stamps_ns: tuple[int, ...] = ()
         self.solution: Solution | None = None
         """Of the last call of `trajectory`."""
+        self.chain: Chain | None = None
+        """What that is the solution of."""
         self.resolution: Resolution | None = None
         """Of the last call of `trajectory`, where there were mixtures."""
 
@@ -142,13 +144,13 @@ class Smoother:
             told = None if self._told is None else 0
             self.resolution = resolve(recorded, sequences, self._region, told, self._config)
         if self.resolution is not None:
-            self.solution = self.resolution.solution
+            self.solution, self.chain = self.resolution.solution, self.resolution.chain
         else:
             chain = self._recorder.chain(self._ahead.carried_ns)
             if chain is None:
                 return ()
             chain = replace(chain, motions=as_noisy(chain.motions, self._filter.legs.scales))
-            self.solution = solver(self._config)(chain, self._config, None)
+            self.solution, self.chain = solver(self._config)(chain, self._config, None), chain
         covariances = se2.rotate_covariance(self.solution.covariances, self.solution.poses[:, 2])
         out = tuple(map(Estimate, recorded.stamps_ns, self.solution.poses, covariances))
         if self.resolution is not None:

@@ -13,6 +13,8 @@ from estimators.legs import Legs
 from estimators.sensor import seen_from
 from estimators.smoother import Smoother
 from estimators.solution import Solution
+from estimators.surveyed import Surveyed
+from estimators.surveyed_map import SurveyedMap, held, surveyed_map
 from fieldloc import pose as se2
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap
@@ -26,6 +28,7 @@ from logs.atomic import atomic_text
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
 from logs.replay import Recording, load_recording, replay
+from logs.surveying import on_one_map, survey
 from logs.table import NOTHING, Cell, Table
 from logs.table_text import format_columns
 
@@ -38,6 +41,7 @@ _MOST_IMAGES = 1000  # of all logs, evenly; neighbours say much the same
 class CalibratedRobot:
     """logs: names of those that it is from. noise: of its odometry, where that does not state it. scans: of the sensor
     that scans, where there is one. mount: of the camera, where there are images. warnings: what is wrong with the logs.
+    landmarks: where they are, if that was asked.
     """
 
     logs: tuple[str, ...]
@@ -47,6 +51,7 @@ class CalibratedRobot:
     mount: tuple[Quantity, ...]
     wobble: tuple[float, ...]
     warnings: tuple[str, ...]
+    landmarks: SurveyedMap | None = None
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -80,6 +85,7 @@ class _Solved:
     legs: Legs
     views: _Views
     sensors: tuple[LearnedNoise, ...]
+    survey: Surveyed | None
     warnings: tuple[str, ...]
 
 
@@ -89,9 +95,15 @@ def calibrate(
     field: FieldMap | None = None,
     start: FloatArray | str | None = None,
     progress: Progress = unwatched,
+    landmark_sigma_m: float | None = None,
 ) -> CalibratedRobot:
-    """FieldlocError where a log cannot be localized in."""
-    return calibrate_recordings((load_recording(log, field, progress) for log in logs), config, start, progress)
+    """FieldlocError where a log cannot be localized in.
+
+    landmark_sigma_m: standard deviation of where the landmarks are that the map takes as exact, None not to ask where
+    they are. FieldlocError also where they are asked and the logs have different maps, or no ranges to landmarks.
+    """
+    recordings = (load_recording(log, field, progress) for log in logs)
+    return calibrate_recordings(recordings, config, start, progress, landmark_sigma_m)
 
 
 def calibrate_recordings(
@@ -99,30 +111,55 @@ def calibrate_recordings(
     config: Config,
     start: FloatArray | str | None = None,
     progress: Progress = unwatched,
+    landmark_sigma_m: float | None = None,
 ) -> CalibratedRobot:
     """As `calibrate`; ValueError for none."""
     whole = list(recordings)
     if not whole:
         raise ValueError("no logs to calibrate from")
-    solved, learned = [], config
-    for recording in whole:
-        solved.append(_solved(recording, learned, start, progress))
-        learned = _learned(learned, solved[-1].sensors)
+    before = None if landmark_sigma_m is None else on_one_map(whole, landmark_sigma_m)
+    if before is not None:
+        whole = [replace(recording, field=before) for recording in whole]
+    solved, learned = _all_solved(whole, config, start, progress, before)
+    fit, found = _fitted(solved, whole, config, progress), _surveyed(solved, before)
+    if fit is not None or found is not None:
+        # found with the camera where it was thought to be, poses lean that way and hide a part of its error; landmarks
+        # beside their places look like noise
+        again = config if fit is None else replace(config, mount=_mount(_quantities(fit, config), _wobble(fit)))
+        if found is not None:
+            whole = [replace(recording, field=held(found)) for recording in whole]
+        solved, learned = _all_solved(whole, again, start, progress, before)
+        fit, found = _fitted(solved, whole, config, progress), _surveyed(solved, before)
     scanning = solved[-1].sensors
     place = scanning[0].place_sigmas if len(scanning) == 1 else None
-    fit = _fitted(solved, whole, config, progress)
-    if fit is not None:
-        # found with the camera where it was thought to be, poses lean that way and hide a part of its error
-        mount = _mount(_quantities(fit, config), tuple(fit.wobble.tolist()))
-        solved = [_solved(recording, replace(config, mount=mount), start, progress) for recording in whole]
-        fit = _fitted(solved, whole, config, progress)
     robot = calibrated([one.solution for one in solved], config, place)
     quantities = () if fit is None else _quantities(fit, config)
-    wobble = () if fit is None else tuple(fit.wobble.tolist())
-    warnings = [warning for one in solved for warning in one.warnings]
+    wobble = () if fit is None else _wobble(fit)
+    warnings = tuple(warning for one in solved for warning in one.warnings)
     scans = _scans(config, learned)
     noise = calibrated_noise([one.legs for one in solved], config.motion)
-    return CalibratedRobot(tuple(one.name for one in whole), robot, noise, scans, quantities, wobble, tuple(warnings))
+    names = tuple(one.name for one in whole)
+    return CalibratedRobot(names, robot, noise, scans, quantities, wobble, warnings, found)
+
+
+def _all_solved(
+    recordings: Sequence[Recording],
+    config: Config,
+    start: FloatArray | str | None,
+    progress: Progress,
+    before: FieldMap | None,
+) -> tuple[list[_Solved], Config]:
+    """Each with what those before say of the sensor's distortion, and the settings with what all of them say of it."""
+    solved, learned = [], config
+    for recording in recordings:
+        solved.append(_solved(recording, learned, start, progress, before, config))
+        learned = _learned(learned, solved[-1].sensors)
+    return solved, learned
+
+
+def _surveyed(solved: Sequence[_Solved], before: FieldMap | None) -> SurveyedMap | None:
+    surveys = [one.survey for one in solved if one.survey is not None]
+    return surveyed_map(before, surveys) if before is not None and surveys else None
 
 
 def _learned(config: Config, sensors: Sequence[LearnedNoise]) -> Config:
@@ -144,14 +181,26 @@ def _scans(before: Config, learned: Config) -> tuple[Quantity, ...]:
     return tuple(Quantity.found("scan_distortion", name, *each) for name, *each in every)
 
 
-def _solved(recording: Recording, config: Config, start: FloatArray | str | None, progress: Progress) -> _Solved:
+def _solved(
+    recording: Recording,
+    config: Config,
+    start: FloatArray | str | None,
+    progress: Progress,
+    before: FieldMap | None,
+    prior: Config,
+) -> _Solved:
+    """before: the map whose landmarks are to be surveyed, None for none; prior: what is known before all logs."""
     smoother = Smoother(config)
     done = replay(recording, smoother, start, config, progress)
     if smoother.solution is None:
         raise FieldlocError(f"{recording.name}: it says nothing of the robot: no start was found")
     stamps_ns = [one.stamp_ns for one in done.estimates]
     views = _views(recording.measurements, stamps_ns, smoother.solution)
-    return _Solved(smoother.solution, smoother.legs, views, done.sensors, (*recording.warnings, *done.warnings))
+    found = None
+    if before is not None and smoother.chain is not None:
+        found = survey(recording, smoother.chain, smoother.solution, done.sensors, before, prior)
+    warnings = (*recording.warnings, *done.warnings)
+    return _Solved(smoother.solution, smoother.legs, views, done.sensors, found, warnings)
 
 
 def _views(measurements: Sequence[object], stamps_ns: Sequence[int], solution: Solution) -> _Views:
@@ -200,6 +249,10 @@ def _quantities(fit: MountFit, config: Config) -> tuple[Quantity, ...]:
         Quantity.found("mount", name, before[name], before[name] + error, sigma, prior)
         for name, error, sigma, prior in found
     )
+
+
+def _wobble(fit: MountFit) -> tuple[float, ...]:
+    return tuple(fit.wobble.tolist())
 
 
 def _mount(quantities: Sequence[Quantity], wobble: Sequence[float]) -> MountCorrection:
