@@ -20,6 +20,7 @@ from estimators.joint import Settled, finished, log_evidences, settle, without_k
 from estimators.lateness import against_odometry, may_be_late, settled_in_time
 from estimators.mixture.lost import Lost
 from estimators.modes import ModeSequence
+from estimators.reading import read_track
 from estimators.resolved import Resolution
 from estimators.seeds import on_copies, seeds, surest, whole_poses
 from estimators.stretches import Story, put_down_ns, stories
@@ -62,8 +63,13 @@ def resolve(
     anywhere = Lost.within(region, 0.0).anywhere
     told_config, late = config, may_be_late(recorded, config)
     config = against_odometry(config) if late else config
-    tracks, begun = _followed(recorded, places, copies, config)
-    tracks, begun = _with_surest(recorded, tracks, begun, copies, anywhere.log_volume, config)
+    sure = [seed for share, seed in surest(recorded, anywhere.log_volume) if share * len(copies) > _SURE]
+    read = read_track(recorded, sequences, places[0], told, config) if len(copies) == 1 else None
+    if read is not None and all(_led_to(seed, read, copies) for seed in sure):
+        tracks, begun = read, places[:1]
+    else:
+        tracks, begun = _followed(recorded, places, copies, config)
+        tracks, begun = _with_surest(recorded, tracks, begun, sure, copies, config)
     copy_of = np.array([seed.copy for seed in begun])
     log_start = np.array(
         [
@@ -137,12 +143,11 @@ def _with_surest(
     recorded: Recorded,
     tracks: Tracks,
     begun: tuple[Seed, ...],
+    sure: list[Seed],
     copies: FloatArray,
-    log_area: float,
     config: Config,
 ) -> tuple[Tracks, tuple[Seed, ...]]:
     """More tracks from mixtures that tell the place by themselves, and where none of the tracks is at the time."""
-    sure = [seed for share, seed in surest(recorded, log_area) if share * len(copies) > _SURE]
     for _ in range(_ROUNDS):
         sure = [seed for seed in sure if not _led_to(seed, tracks, copies)]
         if not sure:

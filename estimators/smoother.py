@@ -211,4 +211,5 @@ class Smoother:
 def _later(sequence: ModeSequence, by: int, choice: int) -> ModeSequence:
     """The reading with more observations before it, all of them the same choice."""
     choices = np.concatenate([np.full(by, choice, dtype=np.intp), sequence.choices])
-    return replace(sequence, choices=choices, births=tuple(birth + by for birth in sequence.births))
+    way = None if sequence.way is None else sequence.way.later(by)
+    return replace(sequence, choices=choices, births=tuple(birth + by for birth in sequence.births), way=way)

@@ -60,6 +60,9 @@ def stories(
     count, seen = tracks.log_evidence.shape
     if not seen:
         return []
+    if count == 1:  # nowhere to be carried to
+        stays, worth = np.zeros(seen, dtype=bool), float(log_start[0] + tracks.log_evidence.sum())
+        return [_told(recorded, tracks, np.zeros(seen, dtype=np.intp), stays, worth)]
     nodes = np.array([node for node, _ in recorded.mixtures])
     stamps_s = np.array(recorded.stamps_ns)[nodes] * 1e-9
     gaps_s = np.clip(np.diff(stamps_s, prepend=stamps_s[0]), 1e-6, _LONGEST_GAP_S)

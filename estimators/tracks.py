@@ -28,7 +28,7 @@ _CALIBRATION = slice(4, 4 + CALIBRATION)
 _SENSOR = slice(4 + CALIBRATION, 4 + CALIBRATION + SENSOR)
 _STATES = _SENSOR.stop
 _ODOMETRY, _EYES = slice(1, 1 + CALIBRATION), slice(1 + CALIBRATION, None)  # in what is kept beside the pose
-_LEARNT_FROM = 60  # sights after a seed
+LEARNT_FROM = 60  # sights after a seed
 _ROUGHLY = np.diag([0.3, 0.3, 0.15]) ** 2
 _HINT_WORTH = 10.0  # a hint is followed while it is at most so much (log) less likely than the best
 
@@ -137,7 +137,7 @@ class _Sweep:
         places = np.array([not mixture.by_compass for _, mixture in self._recorded.mixtures])
         for track, seed in enumerate(self._seeds):
             known = places & (self.choices[track] >= 0) & (self._hints[track] != NO_HINT)
-            sights = seed.at + 1 + np.flatnonzero(known[seed.at + 1 :])[:_LEARNT_FROM]
+            sights = seed.at + 1 + np.flatnonzero(known[seed.at + 1 :])[:LEARNT_FROM]
             self._from[track] = sights[-1] if len(sights) else seed.at - 1
             node = self._recorded.mixtures[sights[-1]][0] if len(sights) else seed.node
             self._begins.setdefault(node, []).append(track)

@@ -299,10 +299,11 @@ class MixtureFilter:
             bank = bank.take(np.arange(min(len(bank), settings.max_hypotheses)))
         left = total(bank.log_weights)
         bank = bank.weighing(bank.log_weights + (tracked - everything - left))
-        self._settle_on(bank, choice, started)
+        # of several, which then is the same one is not asked
+        self._settle_on(bank, choice, started, children.margin if len(bank) == 1 else 0.0)
 
-    def _settle_on(self, bank: Bank, choice: bool, started: bool) -> None:
-        """These are the hypotheses from now on."""
+    def _settle_on(self, bank: Bank, choice: bool, started: bool, margin: float) -> None:
+        """These are the hypotheses from now on. margin: as `Way` has it."""
         before = self._first[0]
         self._bank = bank
         self._first = row, copy = report.best(bank, self._sides, self._last)
@@ -313,7 +314,7 @@ class MixtureFilter:
             self._motion.scales = self._legs.look(bank.poses[row], covariance, calibration)
         else:  # another one's way has led here
             self._begin_leg()
-        self._lineage.follow(bank, before, choice)
+        self._lineage.follow(bank, before, choice, margin)
         if started:
             self._watch.begin(self._now_ns, f"{len(bank) * len(self._sides)} places are possible")
         elif bank.found[row]:

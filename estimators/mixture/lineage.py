@@ -8,17 +8,26 @@ from numpy.typing import NDArray
 
 from estimators.mixture.bank import Bank
 from estimators.mixture.sides import Sides
-from estimators.modes import ModeSequence
+from estimators.modes import ModeSequence, Way
+from estimators.motion import CALIBRATION
 from fieldloc.mixture import IntArray
+from fieldloc.pose import FloatArray
 
 
 class Leaf(NamedTuple):
-    """A hypothesis' last choice, at an observation (from 0). What no living leaf leads to goes with the garbage."""
+    """A hypothesis' last choice, at an observation (from 0). What no living leaf leads to goes with the garbage.
+
+    pose, covariance, extra: after it, as `Bank` has them. margin: as `Way` has it.
+    """
 
     before: Optional["Leaf"]
     observation: int
     choice: int
     began: bool
+    pose: FloatArray
+    covariance: FloatArray
+    extra: FloatArray
+    margin: float
 
 
 @dataclass(slots=True)
@@ -43,10 +52,11 @@ class Lineage:
         self.leaves = [None] * len(bank)
         self._number(np.isfinite(bank.log_weights))
 
-    def follow(self, bank: Bank, best: int, choice: bool) -> None:
-        """Of the bank after an observation. best: row of the best one before it. choice: whether there was one."""
+    def follow(self, bank: Bank, best: int, choice: bool, margin: float = 0.0) -> None:
+        """Of the bank after an observation. best: row of the best one before it. choice: whether there was one; margin:
+        of that, as `Way` has it."""
         if len(bank) == 1 and bank.parents[0] == 0 and self.tracks.size == 1:
-            self._remember(bank, best, choice)  # the only one goes on
+            self._remember(bank, best, choice, margin)  # the only one goes on
             return
         parents = bank.parents
         alive = np.isfinite(bank.log_weights)
@@ -65,14 +75,14 @@ class Lineage:
                 column[again] = -1
             self.tracks = old
             self._number(alive & (old < 0))
-        self._remember(bank, best, choice)
+        self._remember(bank, best, choice, margin)
 
-    def _remember(self, bank: Bank, best: int, choice: bool) -> None:
+    def _remember(self, bank: Bank, best: int, choice: bool, margin: float) -> None:
         if not choice:
             self.leaves = [self.leaves[parent] for parent in bank.parents.tolist()] if self.remember else []
             return
         if self.remember:
-            self._choose(bank, best)
+            self._choose(bank, best, margin)
         self.observed += 1
 
     def _number(self, where: NDArray[np.bool_]) -> None:
@@ -80,16 +90,29 @@ class Lineage:
         self.tracks[where] = np.arange(self._next, self._next + count)
         self._next += count
 
-    def _choose(self, bank: Bank, best: int) -> None:
+    def _choose(self, bank: Bank, best: int, margin: float) -> None:
         before, index = self.leaves, self.observed
         lost_from = before[best] if before else None
         # one that is found elsewhere was the best one before, until it was carried
         self.leaves = [
-            Leaf(before[parent], index, choice, False)
-            if parent >= 0
-            else Leaf(lost_from if found else None, index, choice, True)
-            for parent, choice, found in zip(
-                bank.parents.tolist(), bank.choices.tolist(), bank.found.tolist(), strict=True
+            Leaf(
+                before[parent] if parent >= 0 else lost_from if found else None,
+                index,
+                choice,
+                parent < 0,
+                pose,
+                covariance.copy(),  # of all else it is a part of
+                extra,
+                margin,
+            )
+            for parent, choice, found, pose, covariance, extra in zip(
+                bank.parents.tolist(),
+                bank.choices.tolist(),
+                bank.found.tolist(),
+                bank.poses,
+                bank.covariances[:, :3, :3],
+                bank.extra,
+                strict=True,
             )
         ]
 
@@ -105,11 +128,16 @@ class Lineage:
         )
 
     def _sequence(self, leaf: Leaf | None, copy: int, log_weight: float) -> ModeSequence:
-        choices = np.full(self.observed, -1, dtype=np.intp)
+        count = self.observed
+        choices = np.full(count, -1, dtype=np.intp)
+        way = Way(np.zeros((count, 3)), np.zeros((count, 3, 3)), np.zeros((count, CALIBRATION)), np.zeros(count))
         births = []
         while leaf is not None:
-            choices[leaf.observation] = leaf.choice
+            at = leaf.observation
+            choices[at] = leaf.choice
+            way.poses[at], way.covariances[at], way.margins[at] = leaf.pose, leaf.covariance, leaf.margin
+            way.calibrations[at] = leaf.extra[:CALIBRATION]
             if leaf.began:
                 births.append(leaf.observation)
             leaf = leaf.before
-        return ModeSequence(log_weight, choices, tuple(reversed(births)), copy)
+        return ModeSequence(log_weight, choices, tuple(reversed(births)), copy, way)

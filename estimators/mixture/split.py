@@ -107,6 +107,13 @@ class Children:
         return np.where(np.isfinite(evidence), evidence, 0.0), best
 
     @property
+    def margin(self) -> float:
+        """By how much (log) the only solution is better than to take nothing for right, 0 if there are others."""
+        if len(self.seen.parent) != 1 or len(self.before) != 1:
+            return 0.0
+        return total(self.log_weights) - total(self.blind_weights)
+
+    @property
     def total(self) -> float:
         return either(total(self.log_weights), total(self.blind_weights))
 
