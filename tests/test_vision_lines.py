@@ -157,8 +157,8 @@ def test_a_wide_piece_that_ends_behind_something_is_a_line_where_another_ends_at
 
 
 def test_a_line_is_one_however_high_the_fields_border_seems(rng):
-    light = with_stripe(turf(rng, top=240), np.array([146.0, 289.0]), np.array([440.0, 490.0]), (5.0, 16.0))
-    light[:240] = (70, 115, 85)  # a wall in the green light of the field
+    light = with_stripe(turf(rng, top=240), np.array([146.0, 289.0]), np.array([440.0, 490.0]), (4.0, 20.0))
+    light[:240] = (75, 140, 85)  # a green wall
     (line,) = detect(exposed(light, rng)).lines
     assert np.linalg.norm(line.ends_px[1] - line.ends_px[0]) > 280.0
 

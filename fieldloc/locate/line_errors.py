@@ -71,7 +71,7 @@ def line_rows(cameras: Cameras, match: IntArray) -> tuple[FloatArray, FloatArray
     out[:, :, 1, :, 4:6] += (level.reshape(size[0], -1, 2) @ by_up).reshape(*size, 2, 2)
     painted = np.minimum(per_m * shape.line_width_m, FAR_PX)
     expected2 = painted * painted + _THREAD_PX**2
-    out[:, :, 1] *= np.maximum(1.0 - _THREAD_PX**2 / expected2, _LEAST_SLOPE)[..., None]
+    out[:, :, 1, :, :6] *= np.maximum(1.0 - _THREAD_PX**2 / expected2, _LEAST_SLOPE)[..., None]
     out[..., FOCAL] = sight.line_by_focal
     out[:, :, 0, :, ERROR] = clipped(off[:, :, 0] / slope)
     out[:, :, 1, :, ERROR] = sight.log_widths - 0.5 * np.log(expected2)

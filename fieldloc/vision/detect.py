@@ -21,6 +21,7 @@ from fieldloc.vision.segments import merged, straight_pieces
 from fieldloc.vision.settings import VisionSettings
 from fieldloc.vision.sorting import sort_out
 from fieldloc.vision.straight import Plane
+from fieldloc.vision.stubs import find_stubs
 from fieldloc.vision.turf import Mask, Turf, find_turf
 from fieldloc.vision.white import find_runs
 
@@ -63,6 +64,7 @@ def detect(
     if not circle and (ellipse := ellipse_of(arcs, view)):
         circle = trace(grey, ellipse, _on(chains, points_on(ellipse, chains)), plane, turf, settings, bent=True)
     lines = sort_out(lines, circle, posts, grey, turf, settings)
+    lines += find_stubs(grey, lines, plane, turf, settings)
     return Detections(
         width,
         height,
