@@ -76,22 +76,22 @@ class NoiseLearner:
         root = self._sigmas
         return np.asarray(root * np.sqrt(np.diagonal(np.linalg.inv(np.eye(3) + root[:, None] * self._learned * root))))
 
-    def precision(self, met: ScanErrors, unknown: FloatArray) -> FloatArray:
-        """(2n, 2n) inverse of the errors' covariance, as thought now and from anywhere, without what is `unknown`
-        (2n, 2n) of them; what is far off for all that counts less."""
-        whole = self._whole(met, _parts(met.stated))
-        return np.asarray(_trust(met.error, np.linalg.inv(whole + unknown)) * np.linalg.inv(whole))
+    def learn(self, met: ScanErrors, news: float, unknown: FloatArray | None = None) -> FloatArray:
+        """news: by how much it counts, less if it is much the same as before. unknown: (2n, 2n) covariance of what is
+        learned of the errors elsewhere.
 
-    def learn(self, met: ScanErrors, news: float) -> None:
-        """news: by how much it counts, less if it is much the same as before."""
-        parts = _parts(met.stated)
-        shares = self._shares
-        precision = np.linalg.inv(self._whole(met, parts))
+        (2n, 2n) inverse of the errors' covariance as thought before and from anywhere, without what is unknown of them;
+        what is far off for all that counts less.
+        """
+        parts, shares = _parts(met.stated), self._shares
+        whole = self._whole(met, parts, shares)
+        precision = np.linalg.inv(whole if unknown is None else whole + unknown)
         weighted = precision @ met.error.ravel()
         trust = _trust(met.error, precision)
         by_part = precision @ parts
         slope = 0.5 * shares * (trust * (weighted @ parts @ weighted) - np.trace(by_part, axis1=-2, axis2=-1))
-        information = 0.5 * np.outer(shares, shares) * np.einsum("aij,bji->ab", by_part, by_part)
+        # tr(A B) is the sum over A and B' element by element
+        information = 0.5 * np.outer(shares, shares) * (_flat(by_part) @ _flat(by_part.swapaxes(-1, -2)).T)
         kept = min(1.0, _KEPT / max(float(np.trace(self._learned)), _KEPT))
         self._learned = kept * self._learned + news * information
         # the prior is what it starts from and how far it goes at first
@@ -100,11 +100,17 @@ class NoiseLearner:
         step *= _LONGEST / max(float(np.abs(step).max()), _LONGEST)
         self._log_shares = np.where(root > 0.0, np.clip(self._log_shares + step, _LOWEST, _HIGHEST), self._log_shares)
         self.count += 1
+        return np.asarray(trust * (precision if unknown is None else np.linalg.inv(whole)))
 
-    def _whole(self, met: ScanErrors, parts: FloatArray) -> FloatArray:
+    def _whole(self, met: ScanErrors, parts: FloatArray, shares: FloatArray) -> FloatArray:
         """(2n, 2n)."""
         flat = met.jacobian.reshape(met.error.size, 3)
-        return np.asarray(np.tensordot(self._shares, parts, 1) + met.other + (flat * _ANYWHERE) @ flat.T)
+        return np.asarray((shares @ _flat(parts)).reshape(met.other.shape) + met.other + (flat * _ANYWHERE) @ flat.T)
+
+
+def _flat(matrices: FloatArray) -> FloatArray:
+    """(k, m) of (k, ...)."""
+    return matrices.reshape(len(matrices), -1)
 
 
 def _trust(error: FloatArray, precision: NDArray[np.floating]) -> float:

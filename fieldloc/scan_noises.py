@@ -102,8 +102,7 @@ class ScanNoises:
         range_bearing = scan.range_bearing[rows]
         unknown = learners.distortion.uncertainty(range_bearing)
         news = 1.0 / float(inflation(np.array(age_s), self._correlation.range_s))
-        precision = learners.noise.precision(met, unknown)
-        learners.noise.learn(met._replace(other=met.other + unknown), news)
+        precision = learners.noise.learn(met, news, unknown)
         learners.distortion.learn(range_bearing, met.error, news * precision)
         self._learned_ns[mount] = scan.stamp_ns
 

@@ -27,7 +27,7 @@ from estimators.mixture.sides import Sides
 from estimators.mixture.split import Children, met
 from estimators.mixture.watch import Watch
 from estimators.modes import ModeSequence
-from estimators.motion import CALIBRATION, STANDSTILL, HeldVelocity
+from estimators.motion import CALIBRATION, STANDSTILL, HeldVelocity, Increment
 from estimators.views import LATE, View, Views, of_factor, prior
 from fieldloc.factors import Factor, PoseFactor
 from fieldloc.heading_mixture import HeadingMixture
@@ -67,6 +67,7 @@ class MixtureFilter:
         self._last: FloatArray | None = None  # its pose
         self._pending, self._pending_s = STANDSTILL, 0.0
         self._attention = Attention(config.mixture.evidence_share)
+        self._said: tuple[Bank, Increment, Estimate] | None = None  # the likeliest, and of what
 
     def start(self, estimate: Estimate) -> None:
         self.advance(estimate.stamp_ns)
@@ -89,6 +90,7 @@ class MixtureFilter:
     def predict(self, odometry: Odometry) -> None:
         self.advance(odometry.stamp_ns)
         self._motion.hold(odometry)
+        self._said = None
         if (gained := self._views.heard()) > 0.0:
             self._known = self._known.copy()
             self._known[LATE - 3, LATE - 3] += gained
@@ -157,7 +159,11 @@ class MixtureFilter:
 
     def likeliest(self) -> Estimate | None:
         """Where the robot is sooner than anywhere else, however unlikely that is."""
-        return self._seen(self._views.now(self._extra)) if len(self._bank) else None
+        if not len(self._bank):
+            return None
+        if self._said is None or self._said[0] is not self._bank or self._said[1] is not self._pending:
+            self._said = self._bank, self._pending, self._seen(self._views.now(self._extra))
+        return self._said[2]
 
     def seen_from(self) -> Estimate | None:
         """Where the eyes were when they saw what they show now."""

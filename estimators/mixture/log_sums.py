@@ -11,12 +11,13 @@ _FEW = 8
 
 def total(log_weights: FloatArray) -> float:
     """Of all; -inf of none."""
-    if log_weights.size == 1:
-        return log_weights.item()
-    if log_weights.size > _FEW:
+    size = log_weights.size
+    if size <= 1:
+        return log_weights.item() if size else -math.inf
+    if size > _FEW:
         return float(np.logaddexp.reduce(np.ravel(log_weights)))
     every: list[float] = np.ravel(log_weights).tolist()
-    most = max(every, default=-math.inf)
+    most = max(every)
     if not math.isfinite(most):
         return most
     return most + math.log(sum([math.exp(one - most) for one in every]))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -53,7 +54,7 @@ class Sight:
         return Sight(rows, copy, poses, covariances, log_weights)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Children:
     """Not made yet: seen is what each takes in, parents (k,) rows, log_weights (k, c). The last ones take nothing."""
 
@@ -111,13 +112,18 @@ class Children:
         """By how much (log) the only solution is better than to take nothing for right, 0 if there are others."""
         if len(self.seen.parent) != 1 or len(self.before) != 1:
             return 0.0
-        return total(self.log_weights) - total(self.blind_weights)
+        return self._sighted - self.blind
 
     @property
     def total(self) -> float:
-        return either(total(self.log_weights), total(self.blind_weights))
+        return either(self._sighted, self.blind)
 
-    @property
+    @cached_property
+    def _sighted(self) -> float:
+        """Log-weight of those that explain something."""
+        return total(self.log_weights)
+
+    @cached_property
     def blind(self) -> float:
         """Log-weight of those that explain nothing."""
         return total(self.blind_weights)
