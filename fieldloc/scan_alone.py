@@ -8,12 +8,10 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from fieldloc.mixture import IntArray
 from fieldloc.one_pose import arc, bend, wrapped
 from fieldloc.pose import FloatArray
-from fieldloc.scan_model import NAMED_GATE, NEAREST_M, ScanModel
+from fieldloc.scan_model import NEAREST_M, ScanModel
 
 ROUNDS = 3
 STRAIGHT = 0.05  # m, m, rad: a step that is no longer needs no further linearisation
@@ -117,44 +115,6 @@ def fitted(seen: Sequence[Seen], pose: Vector, covariance: Symmetric, rounds: in
         c, s = math.cos(heading), math.sin(heading)
         pose = x + c * forward - s * left, y + s * forward + c * left, wrapped(heading + turn)
     return pose
-
-
-def recognised(model: ScanModel, named: IntArray, pose: Vector) -> IntArray:
-    """(n,) landmark of each observation where the label that says so (n,) is likelier right than not, else -1."""
-    x, y, heading = pose
-    out = []
-    for landmark, (to_x, to_y), (r, b), ((rr, rb), (_, bb)), log_peak, (by_r, by_b), (s_r, s_b), (
-        wide_r,
-        wide_b,
-    ) in zip(
-        named.tolist(),
-        model.positions[named].tolist(),
-        model.range_bearing.tolist(),
-        model.covariance.tolist(),
-        model.log_peak.tolist(),
-        model.wider[named].tolist(),
-        model.shared_plain.tolist(),
-        model.shared_widened.tolist(),
-        strict=True,
-    ):
-        dx, dy = to_x - x, to_y - y
-        er = max(math.hypot(dx, dy), NEAREST_M) - r
-        eb = math.remainder(math.atan2(dy, dx) - heading - b, math.tau)
-        if not _misfit(er, eb, rr + s_r * s_r, rb, bb + s_b * s_b)[0] < NAMED_GATE:
-            out.append(-1)
-            continue
-        det = rr * bb - rb * rb
-        rr, rb, bb = by_r * rr, math.sqrt(by_r * by_b) * rb, by_b * bb
-        misfit, wide_det = _misfit(er, eb, rr + wide_r * wide_r, rb, bb + wide_b * wide_b)
-        worth = log_peak - 0.5 * (misfit + math.log(wide_det / (rr * bb - rb * rb) * det))
-        out.append(landmark if worth > 0.0 else -1)
-    return np.array(out, dtype=np.intp)
-
-
-def _misfit(er: float, eb: float, rr: float, rb: float, bb: float) -> tuple[float, float]:
-    """Chi-square of an error by its covariance, and the determinant of that."""
-    det = rr * bb - rb * rb
-    return (bb * er * er - 2.0 * rb * er * eb + rr * eb * eb) / det, det
 
 
 def linear(seen: Sequence[Seen], pose: Vector, step: Vector = (0.0, 0.0, 0.0)) -> list[Line]:

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
-from fieldloc.scan_alone import recognised
+from fieldloc.scan_candidates import MOST, recognised
 from fieldloc.scan_model import Errors, ScanModel
 from fieldloc.scan_moments import Upper, determinant
 from fieldloc.scan_pairs import Pairs
@@ -128,9 +128,9 @@ def _best(parent: IntArray, score: FloatArray, h: int) -> IntArray:
 
 def likeliest(model: ScanModel, pose: FloatArray) -> IntArray:
     """(n,) landmark of each observation, -1 for none, in the best assignment from one pose (3,)."""
-    if model.named is not None and model.survey is None:
+    if model.survey is None and (model.named is not None or model.may.size <= MOST):
         x, y, heading = pose.tolist()
-        return recognised(model, model.named, (x, y, heading))
+        return recognised(model, (x, y, heading))
     which = np.arange(len(model.positions)) if model.named is None else model.named
     errors = model.errors(pose[None], which)
     plain, _ = model.noise_at(errors, None, model.covariance)

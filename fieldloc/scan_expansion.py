@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldloc import pose as se2
+from fieldloc import scan_candidates as candidates
 from fieldloc.mixture import After, Expansion, IntArray
 from fieldloc.pose import FloatArray
-from fieldloc.scan_alone import MOST, ROUNDS, STRAIGHT, Symmetric, expanded_alone, seen_of
+from fieldloc.scan_alone import MOST, ROUNDS, STRAIGHT, Symmetric, Vector, expanded_alone, seen_of
 from fieldloc.scan_assignments import Assignments, assign
 from fieldloc.scan_model import ScanModel, Terms
 from fieldloc.scan_pairs import Pairs, pairs_of
@@ -26,17 +27,22 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
     if len(poses) == 1 and model.named is not None and len(model.named):
         # if all are where their labels say, nothing else is to be asked
         wider = model.widening(np.arange(len(model.named)), model.named)
-        if (undoubted := _alone(model, model.named[None], wider, poses, covariances)) is not None:
+        if (undoubted := _alone(model, model.named, wider, poses, covariances)) is not None:
             return undoubted, model.named[None]
         found = Assignments(np.zeros(1, dtype=np.intp), model.named[None], np.zeros((1, 3)), np.zeros(1))
         if (doubted := _without_one(_expanded(model, found, poses, covariances, wider), found.matches)) is not None:
             return doubted
+    elif len(poses) == 1 and model.survey is None and model.may.size <= candidates.MOST:
+        found_alone = candidates.unambiguous(model, _vector(poses[0]), _upper(covariances[0]))
+        if found_alone is not None:
+            matched = np.full(len(model.range_bearing), -1)
+            matched[found_alone[0]] = found_alone[1]
+            if (undoubted := _alone(model, matched, model.widening(*found_alone), poses, covariances)) is not None:
+                return undoubted, matched[None]
     pairs = pairs_of(model, poses, covariances)
     matches = np.full((len(poses), len(model.range_bearing)), -1)
     matches[pairs.pose, pairs.row] = pairs.landmark
     if _unambiguous(pairs, len(poses), *model.may.shape):
-        if len(poses) == 1 and (undoubted := _alone(model, matches, pairs.wider, poses, covariances)) is not None:
-            return undoubted, matches
         parent = np.flatnonzero((matches >= 0).any(axis=1))
         found = Assignments(parent, matches[parent], np.zeros((len(parent), 3)), np.zeros(len(parent)))
         expanded = _expanded(model, found, poses, covariances, pairs.wider)
@@ -62,12 +68,10 @@ def _unambiguous(pairs: Pairs, h: int, n: int, m: int) -> bool:
 def _alone(
     model: ScanModel, matches: IntArray, wider: FloatArray | None, poses: FloatArray, covariances: FloatArray
 ) -> Expansion | None:
-    """Of one assignment (1, n) from one pose (1, 3); None where others are worth a doubt, or arrays are faster."""
-    if model.survey is not None or matches.shape[1] > MOST or not (seen := seen_of(model, matches[0], wider)):
+    """Of one assignment (n,) from one pose (1, 3); None where others are worth a doubt, or arrays are faster."""
+    if model.survey is not None or len(matches) > MOST or not (seen := seen_of(model, matches, wider)):
         return None
-    x, y, heading = poses[0].tolist()
-    (p00, p01, p02), (_, p11, p12), (_, _, p22) = covariances[0].tolist()
-    out = expanded_alone(seen, (x, y, heading), (p00, p01, p02, p11, p12, p22))
+    out = expanded_alone(seen, _vector(poses[0]), _upper(covariances[0]))
     if not out.least_gain > _FORGOTTEN:
         return None
     return Expansion(
@@ -79,6 +83,16 @@ def _alone(
         covariances,
         After(np.array([out.shrink]), np.array([out.step]), _matrix(out.updated), np.array([out.evidence])),
     )
+
+
+def _vector(pose: FloatArray) -> Vector:
+    x, y, heading = pose.tolist()
+    return x, y, heading
+
+
+def _upper(covariance: FloatArray) -> Symmetric:
+    (xx, xy, xh), (_, yy, yh), (_, _, hh) = covariance.tolist()
+    return xx, xy, xh, yy, yh, hh
 
 
 def _matrix(a: Symmetric) -> FloatArray:

@@ -119,17 +119,18 @@ def test_one_arc_is_one_of_many(tangent: tuple[float, float, float]) -> None:
     np.testing.assert_allclose(spread(*tangent), se2.right_jacobian(np.array(tangent)), atol=1e-12)
 
 
+@pytest.mark.parametrize("labelled", [True, False])
 @pytest.mark.parametrize("again", [True, False])
 @pytest.mark.parametrize("noise", [AS_STATED, ScanNoise(0.6, 0.8, 0.3, 0.4)])
-def test_labels_are_believed_alike_on_a_map_that_is_exact_and_one_that_is_known_to_be(
-    again: bool, noise: ScanNoise
+def test_landmarks_are_recognised_alike_on_a_map_that_is_exact_and_one_that_is_known_to_be(
+    labelled: bool, again: bool, noise: ScanNoise
 ) -> None:
     """A survey without errors is left to arrays."""
     right = wrong = 0
     for seed in range(40):
         random = np.random.default_rng(seed)
         pose = random.uniform([-2.0, -2.0, -np.pi], [2.0, 2.0, np.pi])
-        model = mixture(random, pose, True, noise, again).model
+        model = mixture(random, pose, labelled, noise, again).model
         at = se2.retract(se2.compose(pose, MOUNT), random.normal(0.0, 0.05, 3))
         surveyed = replace(model, survey=np.zeros((MARKS, 2, 2)))
         seen = likeliest(model, at)

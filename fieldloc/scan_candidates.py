@@ -1,0 +1,137 @@
+"""Which of the map's landmarks the things in a scan may be from one pose, by plain numbers.
+
+The same as `scan_pairs` has for many poses, and `scan_assignments.likeliest` where a map has errors.
+"""
+
+import math
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from fieldloc.mixture import IntArray
+from fieldloc.scan_alone import Symmetric, Vector
+from fieldloc.scan_model import NEAREST_M, ScanModel
+
+MOST = 256  # observations times landmarks, up to which this is faster than arrays
+
+
+class _Row(NamedTuple):
+    """An observation: its own covariance of range and bearing, and standard deviations of what is shared. options:
+    landmarks that its label allows."""
+
+    range_m: float
+    bearing_rad: float
+    rr: float
+    rb: float
+    bb: float
+    longer: float
+    turned: float
+    gate: float
+    options: list[int]
+
+
+def unambiguous(model: ScanModel, pose: Vector, covariance: Symmetric) -> tuple[IntArray, IntArray] | None:
+    """Observations and their landmarks (k,), from a pose of the sensor up to a covariance of its tangent, by errors
+    that are not widened; None where one may be two landmarks, or one landmark two of them."""
+    p00, p01, p02, p11, p12, p22 = covariance
+    x, y, heading = pose
+    c, s = math.cos(heading), math.sin(heading)
+    there = []
+    for to_x, to_y in model.positions.tolist():
+        dx, dy = to_x - x, to_y - y
+        ahead, aside = c * dx + s * dy, c * dy - s * dx
+        by_x, by_y = aside * p22 - p02, ahead * p22 + p12
+        xx, xy = p00 + aside * (by_x - p02), p01 + ahead * p02 - aside * by_y
+        there.append((ahead, aside, math.hypot(ahead, aside), xx, xy, p11 + ahead * (by_y + p12)))
+    found: list[tuple[int, int]] = []
+    for index, (r, b, rr, rb, bb, longer, turned, gate, options) in enumerate(_rows(model)):
+        c, s = math.cos(b), math.sin(b)
+        at_x, at_y = r * c, r * s
+        rr, bb = rr + longer * longer, bb + turned * turned
+        for landmark in options:
+            ahead, aside, d, xx, xy, yy = there[landmark]
+            ex, ey, far = ahead - at_x, aside - at_y, max(d, r)
+            across = far * far * bb
+            if ex * ex + ey * ey >= gate * (xx + yy + rr + across):
+                continue
+            mixed = far * rb
+            xx += c * c * rr + s * s * across - 2.0 * c * s * mixed
+            yy += s * s * rr + c * c * across + 2.0 * c * s * mixed
+            xy += c * s * (rr - across) + (c * c - s * s) * mixed
+            if (yy * ex - 2.0 * xy * ey) * ex + xx * ey * ey < gate * (xx * yy - xy * xy):
+                found.append((index, landmark))
+    rows, landmarks = (np.array([pair[k] for pair in found], dtype=np.intp) for k in (0, 1))
+    return (rows, landmarks) if _one_to_one(found) else None
+
+
+def recognised(model: ScanModel, pose: Vector) -> IntArray:
+    """(n,) landmark of each observation, -1 for none, in the best assignment from one pose."""
+    x, y, heading = pose
+    there = []
+    for to_x, to_y in model.positions.tolist():
+        dx, dy = to_x - x, to_y - y
+        there.append((max(math.hypot(dx, dy), NEAREST_M), math.atan2(dy, dx) - heading))
+    wider = model.wider.tolist()
+    gains: list[tuple[int, int, float]] = []
+    widened, log_peaks = model.shared_widened.tolist(), model.log_peak.tolist()
+    for index, (r, b, rr, rb, bb, longer, turned, gate, options) in enumerate(_rows(model)):
+        near = []
+        plain_rr, plain_bb = rr + longer * longer, bb + turned * turned
+        for landmark in options:
+            d, bearing = there[landmark]
+            er = d - r
+            if er * er < gate * plain_rr:
+                eb = math.remainder(bearing - b, math.tau)
+                if _misfit(er, eb, plain_rr, rb, plain_bb)[0] < gate:
+                    near.append((landmark, er, eb))
+        if not near:
+            continue
+        det = rr * bb - rb * rb
+        by_r, by_b = (max(1.0, *(wider[landmark][k] for landmark, _, _ in near)) for k in (0, 1))
+        rr, rb, bb = by_r * rr, math.sqrt(by_r * by_b) * rb, by_b * bb
+        (longer, turned), log_peak, own = widened[index], log_peaks[index], rr * bb - rb * rb
+        for landmark, er, eb in near:
+            misfit, whole = _misfit(er, eb, rr + longer * longer, rb, bb + turned * turned)
+            gain = log_peak - 0.5 * (misfit + math.log(whole / own * det))
+            if gain > 0.0:
+                gains.append((index, landmark, gain))
+    out = np.full(len(model.range_bearing), -1)
+    if _one_to_one([(index, landmark) for index, landmark, _ in gains]):
+        for index, landmark, _ in gains:
+            out[index] = landmark
+        return out
+    gain_of = np.zeros(model.may.shape)
+    for index, landmark, gain in gains:
+        gain_of[index, landmark] = gain
+    rows, landmarks = linear_sum_assignment(gain_of, maximize=True)
+    out[rows] = np.where(gain_of[rows, landmarks] > 0.0, landmarks, -1)
+    return out
+
+
+def _rows(model: ScanModel) -> list[_Row]:
+    options: list[list[int]] = [[] for _ in model.range_bearing]
+    for row, landmark in zip(*(side.tolist() for side in model.candidates), strict=True):
+        options[row].append(landmark)
+    return [
+        _Row(r, b, rr, rb, bb, longer, turned, gate, of_it)
+        for (r, b), ((rr, rb), (_, bb)), (longer, turned), gate, of_it in zip(
+            model.range_bearing.tolist(),
+            model.covariance.tolist(),
+            model.shared_plain.tolist(),
+            model.gates.tolist(),
+            options,
+            strict=True,
+        )
+    ]
+
+
+def _misfit(er: float, eb: float, rr: float, rb: float, bb: float) -> tuple[float, float]:
+    """Chi-square of an error by its covariance, and the determinant of that."""
+    det = rr * bb - rb * rb
+    return (bb * er * er - 2.0 * rb * er * eb + rr * eb * eb) / det, det
+
+
+def _one_to_one(pairs: list[tuple[int, int]]) -> bool:
+    return all(most <= 1 for side in (0, 1) for _, most in Counter(pair[side] for pair in pairs).most_common(1))
