@@ -89,6 +89,7 @@ class _Settling:
         poses, compass = story.poses, [] if known else np.flatnonzero(self._by_compass).tolist()
         roughly = np.broadcast_to(_ROUGHLY, (len(self._nodes), 3, 3))
         self._choose(compass, self._about(poses, poses, np.zeros(len(poses))), roughly, self._offsets(None)[1])
+        self._of.ask([mixture for _, mixture in self._recorded.mixtures], self._choices.tolist())
         for first in (not known, *(_ROUNDS - 1) * (False,)):
             chain = self._recorded.chain(self._choices, story.breaks, poses, self.chosen)
             if solution is None and self._config.graph.cauchy < NO_KERNEL:

@@ -17,6 +17,8 @@ ROUNDS = 3
 STRAIGHT = 0.05  # m, m, rad: a step that is no longer needs no further linearisation
 MOST = 12  # landmarks, up to which this is faster than arrays
 
+_LARGE = 600.0
+
 Vector = tuple[float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]
 """Upper triangle of a symmetric 3x3 matrix by rows."""
@@ -44,7 +46,8 @@ class Seen(NamedTuple):
 
 class Alone(NamedTuple):
     """An expansion of one solution, relative to all being clutter. least_gain: log evidence of the most doubtful
-    observation's landmark against clutter, beside the others."""
+    observation's landmark against clutter, beside the others; doubt: how likely all are together that leave one of them
+    out, beside this one."""
 
     constant: float
     gradient: Vector
@@ -54,6 +57,7 @@ class Alone(NamedTuple):
     updated: Symmetric
     evidence: float
     least_gain: float
+    doubt: float
 
 
 class Line(NamedTuple):
@@ -196,7 +200,7 @@ def _expanded(seen: Sequence[Seen], lines: Sequence[Line], covariance: Symmetric
     d0, d1, d2 = u00 * g0 + u01 * g1 + u02 * g2, u01 * g0 + u11 * g1 + u12 * g2, u02 * g0 + u12 * g1 + u22 * g2
     evidence = constant + 0.5 * (g0 * d0 + g1 * d1 + g2 * d2 - math.log(det))
     # how likely each is beside the others: the innovation without it, from the residual with it
-    least = math.inf
+    least, doubt = math.inf, 0.0
     for (_, _, _, _, wrr, wrb, wbb, log_peak, longer, turned, _, _, _), (er, eb, r0, r1, r2, b0, b1, b2) in zip(
         seen, lines, strict=True
     ):
@@ -212,9 +216,10 @@ def _expanded(seen: Sequence[Seen], lines: Sequence[Line], covariance: Symmetric
         det = max(a * d - b * c, 1e-300)
         pull_r, pull_b = wrr * er + wrb * eb, wrb * er + wbb * eb
         misfit = er * (d * pull_r - b * pull_b) + eb * (a * pull_b - c * pull_r)
-        least = min(least, log_peak + 0.5 * (math.log(det) - misfit / det))
+        gain = log_peak + 0.5 * (math.log(det) - misfit / det)
+        least, doubt = min(least, gain), doubt + math.exp(-max(gain, -_LARGE))
     updated = u00, u01, u02, u11, u12, u22
-    return Alone(constant, (g0, g1, g2), information, shrink, (d0, d1, d2), updated, evidence, least)
+    return Alone(constant, (g0, g1, g2), information, shrink, (d0, d1, d2), updated, evidence, least, doubt)
 
 
 def _shrink(p: Symmetric, a: Symmetric) -> tuple[tuple[Vector, Vector, Vector], float]:

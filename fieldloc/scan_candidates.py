@@ -4,7 +4,7 @@ The same as `scan_pairs` has for many poses, and `scan_assignments.likeliest` wh
 """
 
 import math
-from collections import Counter
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -32,9 +32,12 @@ class _Row(NamedTuple):
     options: list[int]
 
 
-def unambiguous(model: ScanModel, pose: Vector, covariance: Symmetric) -> tuple[IntArray, IntArray] | None:
-    """Observations and their landmarks (k,), from a pose of the sensor up to a covariance of its tangent, by errors
-    that are not widened; None where one may be two landmarks, or one landmark two of them."""
+def matches(model: ScanModel, pose: Vector, covariance: Symmetric) -> IntArray | None:
+    """(n,) the only landmark that each observation may be, -1 for none, from a pose of the sensor up to a covariance of
+    its tangent, by errors that are not widened. None where one may be two landmarks, or one landmark two of them, and
+    where arrays are faster."""
+    if model.survey is not None or model.may.size > MOST:
+        return None
     p00, p01, p02, p11, p12, p22 = covariance
     x, y, heading = pose
     c, s = math.cos(heading), math.sin(heading)
@@ -62,24 +65,23 @@ def unambiguous(model: ScanModel, pose: Vector, covariance: Symmetric) -> tuple[
             xy += c * s * (rr - across) + (c * c - s * s) * mixed
             if (yy * ex - 2.0 * xy * ey) * ex + xx * ey * ey < gate * (xx * yy - xy * xy):
                 found.append((index, landmark))
-    rows, landmarks = (np.array([pair[k] for pair in found], dtype=np.intp) for k in (0, 1))
-    return (rows, landmarks) if _one_to_one(found) else None
+    return _as_array(found, len(model.range_bearing)) if _one_to_one(found) else None
 
 
 def recognised(model: ScanModel, pose: Vector) -> IntArray:
     """(n,) landmark of each observation, -1 for none, in the best assignment from one pose."""
     x, y, heading = pose
-    there = []
-    for to_x, to_y in model.positions.tolist():
-        dx, dy = to_x - x, to_y - y
-        there.append((max(math.hypot(dx, dy), NEAREST_M), math.atan2(dy, dx) - heading))
-    wider = model.wider.tolist()
-    gains: list[tuple[int, int, float]] = []
+    places, wider = model.positions.tolist(), model.wider.tolist()
+    there: dict[int, tuple[float, float]] = {}
+    gains: dict[tuple[int, int], float] = {}
     widened, log_peaks = model.shared_widened.tolist(), model.log_peak.tolist()
     for index, (r, b, rr, rb, bb, longer, turned, gate, options) in enumerate(_rows(model)):
         near = []
         plain_rr, plain_bb = rr + longer * longer, bb + turned * turned
         for landmark in options:
+            if landmark not in there:
+                dx, dy = places[landmark][0] - x, places[landmark][1] - y
+                there[landmark] = max(math.hypot(dx, dy), NEAREST_M), math.atan2(dy, dx) - heading
             d, bearing = there[landmark]
             er = d - r
             if er * er < gate * plain_rr:
@@ -96,18 +98,14 @@ def recognised(model: ScanModel, pose: Vector) -> IntArray:
             misfit, whole = _misfit(er, eb, rr + longer * longer, rb, bb + turned * turned)
             gain = log_peak - 0.5 * (misfit + math.log(whole / own * det))
             if gain > 0.0:
-                gains.append((index, landmark, gain))
-    out = np.full(len(model.range_bearing), -1)
-    if _one_to_one([(index, landmark) for index, landmark, _ in gains]):
-        for index, landmark, _ in gains:
-            out[index] = landmark
-        return out
-    gain_of = np.zeros(model.may.shape)
-    for index, landmark, gain in gains:
-        gain_of[index, landmark] = gain
-    rows, landmarks = linear_sum_assignment(gain_of, maximize=True)
-    out[rows] = np.where(gain_of[rows, landmarks] > 0.0, landmarks, -1)
-    return out
+                gains[index, landmark] = gain
+    if not _one_to_one(gains):
+        every = np.zeros(model.may.shape)
+        for pair, gain in gains.items():
+            every[pair] = gain
+        best = zip(*(side.tolist() for side in linear_sum_assignment(every, maximize=True)), strict=True)
+        return _as_array([pair for pair in best if pair in gains], len(every))
+    return _as_array(gains, len(model.range_bearing))
 
 
 def _rows(model: ScanModel) -> list[_Row]:
@@ -133,5 +131,12 @@ def _misfit(er: float, eb: float, rr: float, rb: float, bb: float) -> tuple[floa
     return (bb * er * er - 2.0 * rb * er * eb + rr * eb * eb) / det, det
 
 
-def _one_to_one(pairs: list[tuple[int, int]]) -> bool:
-    return all(most <= 1 for side in (0, 1) for _, most in Counter(pair[side] for pair in pairs).most_common(1))
+def _one_to_one(pairs: Collection[tuple[int, int]]) -> bool:
+    return all(len({pair[side] for pair in pairs}) == len(pairs) for side in (0, 1))
+
+
+def _as_array(pairs: Iterable[tuple[int, int]], count: int) -> IntArray:
+    out = np.full(count, -1)
+    for index, landmark in pairs:
+        out[index] = landmark
+    return out

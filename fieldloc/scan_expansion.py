@@ -32,13 +32,12 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
         found = Assignments(np.zeros(1, dtype=np.intp), model.named[None], np.zeros((1, 3)), np.zeros(1))
         if (doubted := _without_one(_expanded(model, found, poses, covariances, wider), found.matches)) is not None:
             return doubted
-    elif len(poses) == 1 and model.survey is None and model.may.size <= candidates.MOST:
-        found_alone = candidates.unambiguous(model, _vector(poses[0]), _upper(covariances[0]))
-        if found_alone is not None:
-            matched = np.full(len(model.range_bearing), -1)
-            matched[found_alone[0]] = found_alone[1]
-            if (undoubted := _alone(model, matched, model.widening(*found_alone), poses, covariances)) is not None:
-                return undoubted, matched[None]
+    elif len(poses) == 1:
+        only = candidates.matches(model, _vector(poses[0]), _upper(covariances[0]))
+        if only is not None:
+            wider = model.widening(np.flatnonzero(only >= 0), only[only >= 0])
+            if (undoubted := _alone(model, only, wider, poses, covariances)) is not None:
+                return undoubted, only[None]
     pairs = pairs_of(model, poses, covariances)
     matches = np.full((len(poses), len(model.range_bearing)), -1)
     matches[pairs.pose, pairs.row] = pairs.landmark
@@ -55,6 +54,22 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
     np.maximum.at(best, out.parent, out.evidence)
     keep = np.flatnonzero(out.evidence > best[out.parent] - _FORGOTTEN)
     return out.take(keep), found.matches[keep]
+
+
+def likeliest_near(model: ScanModel, pose: FloatArray, covariance: FloatArray, share: float) -> IntArray | None:
+    """(n,) landmark of each observation, -1 for none, near a pose (3,) up to a covariance (3, 3), if that is so likely
+    beside all others that explain something."""
+    matches = model.named if model.named is not None else candidates.matches(model, _vector(pose), _upper(covariance))
+    if matches is not None and model.survey is None and len(matches) <= MOST:
+        wider = model.widening(np.flatnonzero(matches >= 0), matches[matches >= 0])
+        if seen := seen_of(model, matches, wider):
+            out = expanded_alone(seen, _vector(pose), _upper(covariance))
+            if out.least_gain > _DOUBTFUL and 1.0 + out.doubt < 1.0 / share:
+                return matches
+    near, every = expand(model, pose[None], covariance[None])
+    if not len(every) or np.exp(near.evidence - near.evidence.max()).sum() > 1.0 / share:
+        return None
+    return np.asarray(every[np.argmax(near.evidence)])
 
 
 def _unambiguous(pairs: Pairs, h: int, n: int, m: int) -> bool:

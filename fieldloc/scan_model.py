@@ -95,20 +95,23 @@ class ScanModel:
         return float((1.0 / wider).sum()) / len(wider)
 
     def terms(self, poses: FloatArray, matches: IntArray, wider: FloatArray | None) -> Terms:
-        """matches: (c, n) landmark of each observation, -1 for none, seen from the poses (c, 3)."""
+        """matches: (c, n) landmark of each observation, -1 for none, seen from the poses (c, 3).
+
+        It works too where each of the c is of a scan of its own: all that is (n, ...) is (c, n, ...) then.
+        """
         matched = matches >= 0
         to = self.positions[matches] - poses[:, None, :2]
         dx, dy = to[..., 0], to[..., 1]
         d = np.maximum(np.hypot(dx, dy), NEAREST_M)
         bearing = np.arctan2(dy, dx) - poses[:, 2:]
         error = np.empty((*matches.shape, 2))
-        error[..., 0], error[..., 1] = d - self.range_bearing[:, 0], _turned(bearing - self.range_bearing[:, 1])
+        error[..., 0], error[..., 1] = d - self.range_bearing[..., 0], _turned(bearing - self.range_bearing[..., 1])
         size = 3 if self.shared is None else 5
         jacobian = np.zeros((*matches.shape, 2, size))
         c, s = np.cos(bearing), np.sin(bearing)
         jacobian[..., 0, 0], jacobian[..., 0, 1] = -c, -s
         jacobian[..., 1, 0], jacobian[..., 1, 1], jacobian[..., 1, 2] = s / d, -c / d, -1.0
-        own = self.covariance[:, 0, 0], self.covariance[:, 0, 1], self.covariance[:, 1, 1]
+        own = self.covariance[..., 0, 0], self.covariance[..., 0, 1], self.covariance[..., 1, 1]
         survey = None if self.survey is None else self._survey_as_seen(matches, dx / d, dy / d, d)
         rr, rb, bb = _with(own, survey)
         det = rr * bb - rb * rb
@@ -121,8 +124,8 @@ class ScanModel:
         weight[..., 0, 1] = weight[..., 1, 0] = -share * wrb
         of_shared = None
         if self.shared is not None:
-            by_range, by_bearing = self.shared.T
-            jacobian[..., 0, 3], jacobian[..., 1, 4] = self.shared_widened.T
+            by_range, by_bearing = self.shared[..., 0], self.shared[..., 1]
+            jacobian[..., 0, 3], jacobian[..., 1, 4] = self.shared_widened[..., 0], self.shared_widened[..., 1]
             of_shared = np.empty((*matches.shape, 3))
             share = matched / det
             of_shared[..., 0] = by_range * by_range * bb * share

@@ -15,7 +15,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation, inflation
 from fieldloc.scan_alone import fitted, linear, seen_of
 from fieldloc.scan_distortion import KNOWN, DistortionLearner, DistortionPrior, ScanDistortion
-from fieldloc.scan_expansion import expand
+from fieldloc.scan_expansion import likeliest_near
 from fieldloc.scan_mixture import ScanMixture
 from fieldloc.scan_model import ScanModel
 from fieldloc.scan_noise import UNLEARNED, NoisePrior, ScanNoise
@@ -91,12 +91,8 @@ class ScanNoises:
         at = composed(pose, scan.robot_from_sensor)
         # which is which, what was seen before tells as well as what was not
         model = replace(mixture.model, wider=np.ones_like(mixture.model.wider), wider_shared=np.ones(2))
-        near, every = expand(model, at[None], _ABOUT[None])
-        if not len(every) or np.exp(near.evidence - near.evidence.max()).sum() > 1.0 / _SURE:
-            return
-        matches = every[np.argmax(near.evidence)]
-        rows = np.flatnonzero(matches >= 0)
-        if len(rows) < 2:
+        matches = likeliest_near(model, at, _ABOUT, _SURE)
+        if matches is None or len(rows := np.flatnonzero(matches >= 0)) < 2:
             return
         met = errors_at_best(model, at, matches, rows, scan, mixture.field_map.positions_covariance)
         range_bearing = scan.range_bearing[rows]

@@ -21,9 +21,9 @@ from fieldloc.fixes.base import Fix
 from fieldloc.fixes.swing import along_heading, robot_pose, second_moment, state_of
 from fieldloc.pose import FloatArray
 
-_MAX_HEADING_SIGMA_RAD = 0.3  # beyond it no ellipse is honest: samples show errors of many of its sigmas
-_PROBE_SIGMAS = 2.0
-_FIRST_ORDER = 0.05  # nonlinearity up to which the first-order covariance is within a few percent
+MAX_HEADING_SIGMA_RAD = 0.3  # beyond it no ellipse is honest: samples show errors of many of its sigmas
+PROBE_SIGMAS = 2.0
+FIRST_ORDER = 0.05  # nonlinearity up to which the first-order covariance is within a few percent
 _HEADINGS = 12  # tried for other solutions
 _NO_MOUNT = (0.0, 0.0, 0.0)
 _UNLIKELY = 30.0  # chi2 above the best one's, where a solution is not worth naming
@@ -78,7 +78,7 @@ def landmark_fix(
     first = found and _fix(*found, middle, sights, mount)
     if not found or not first:
         return ()
-    if first.nonlinearity < _FIRST_ORDER:
+    if first.nonlinearity < FIRST_ORDER:
         return (first,)
     others = [_fix(*other, middle, sights, mount) for other in _other_minima(*found, sights)]
     fixes = sorted([first, *(fix for fix in others if fix)], key=lambda fix: -fix.log_weight)
@@ -106,12 +106,12 @@ def _fix(
 ) -> LandmarkFix | None:
     """None where the heading stays too uncertain."""
     p = inverse(at.a)
-    if p is None or not p[5] < _MAX_HEADING_SIGMA_RAD**2:
+    if p is None or not p[5] < MAX_HEADING_SIGMA_RAD**2:
         return None
     pose, covariance = robot_pose(state, p, middle, mount)
-    aside = [state_of(along_heading(pose, covariance, k), middle, mount) for k in (-_PROBE_SIGMAS, _PROBE_SIGMAS)]
-    nonlinearity = max(abs((misfit(side, sights) - at.chi2) / _PROBE_SIGMAS**2 - 1.0) for side in aside)
-    if nonlinearity >= _FIRST_ORDER:
+    aside = [state_of(along_heading(pose, covariance, k), middle, mount) for k in (-PROBE_SIGMAS, PROBE_SIGMAS)]
+    nonlinearity = max(abs((misfit(side, sights) - at.chi2) / PROBE_SIGMAS**2 - 1.0) for side in aside)
+    if nonlinearity >= FIRST_ORDER:
         covariance = second_moment(state, p, pose, middle)
     return LandmarkFix(
         pose=np.array(pose),
