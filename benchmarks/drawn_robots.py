@@ -76,10 +76,17 @@ def drawn_robot(config: Config, random: np.random.Generator) -> DrawnRobot:
     )
 
 
-def drive(robot: DrawnRobot, config: Config, duration_s: float, random: np.random.Generator) -> Drive:
-    """Among landmarks, from one place to another, now and then sideways, now and then standing."""
+def drive(
+    robot: DrawnRobot,
+    config: Config,
+    duration_s: float,
+    random: np.random.Generator,
+    field: FieldMap | None = None,
+) -> Drive:
+    """Among landmarks, from one place to another, now and then sideways, now and then standing. field: where these are,
+    drawn unless told."""
     stamps_ns = _BEGIN_NS + _STEP_NS * np.arange(round(duration_s * 1e9 / _STEP_NS) + 1)
-    field = _landmarks(random)
+    field = _landmarks(random) if field is None else field
     held = HeldVelocity(config.motion)
     held.scales = robot.motion_scales
     held.advance(_BEGIN_NS)

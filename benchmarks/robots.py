@@ -15,6 +15,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from benchmarks.drawn_maps import found_landmarks
 from benchmarks.drawn_mounts import found_mount
 from benchmarks.drawn_robots import Drive, drawn_robot, drive
 from benchmarks.timing import table
@@ -61,7 +62,9 @@ def run(options: list[str]) -> str:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks robots", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--what", choices=["robots", "mounts", "all"], default="robots", help="which (robots)")
+    parser.add_argument(
+        "--what", choices=["robots", "mounts", "landmarks", "all"], default="robots", help="which (robots)"
+    )
     parser.add_argument("--seeds", type=int, default=100, metavar="N", help="robots of each kind (100)")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first robot's seed (0)")
     parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="of a log; a game takes half (60)")
@@ -69,14 +72,18 @@ def run(options: list[str]) -> str:
     chosen = parser.parse_args(options)
     seeds = range(chosen.first, chosen.first + chosen.seeds)
     text = []
-    if chosen.what != "mounts":
+    if chosen.what in ("robots", "all"):
         driven = _all(partial(driven_by, chosen.duration), seeds, chosen.jobs)
         text += [f"{len(driven)} robots, {chosen.duration:g} s each", _poses(driven)]
         text += ["batch", coverage([one.batch for one in driven]), "online", coverage([one.online for one in driven])]
-    if chosen.what != "robots":
+    if chosen.what in ("mounts", "all"):
         mounts = _all(partial(found_mount, 0.5 * chosen.duration), seeds, chosen.jobs)
         found = [tuple(Found(*one) for one in mount) for mount in mounts]
         text += [f"camera mounts, {len(found)} games of {0.5 * chosen.duration:g} s", coverage(found)]
+    if chosen.what in ("landmarks", "all"):
+        maps = _all(partial(found_landmarks, chosen.duration), seeds, chosen.jobs)
+        every = [(Found(*one),) for one_map in maps for one in one_map]
+        text += [f"landmarks, x and y each, {len(maps)} maps and logs of {chosen.duration:g} s", coverage(every)]
     return "\n\n".join(text)
 
 

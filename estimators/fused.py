@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldloc.covariance import propagate
 from fieldloc.pose import FloatArray
 
 _SAYS_SOMETHING = 0.01  # information of a log along a direction, as a share of the prior's
@@ -45,7 +46,7 @@ def fused(
     disagreement = apart / freedom if len(said) > 1 and freedom > 0.5 else float("nan")
     if disagreement > 1.0:
         covariance = np.linalg.inv(one_each + information / disagreement)
-    return Fused(prior_mean + root @ mean, root @ covariance @ root.T, disagreement)
+    return Fused(prior_mean + root @ mean, propagate(root, covariance), disagreement)
 
 
 def _whitened(root: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ all of them smaller, and the smallest would fit best.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,9 @@ from estimators.chain_engine.blocks import Blocks
 from estimators.config import Config
 from estimators.linearised import Linearised, MotionRows
 from estimators.motion import OdometryCalibration
-from estimators.solution import Solution
 from estimators.surveyed_sights import Sights, point_by_tangent, polar_jacobian
 from fieldloc import pose as se2
+from fieldloc.covariance import squared_mahalanobis
 from fieldloc.field import FieldMap
 from fieldloc.pose import FloatArray
 from fieldloc.scan_distortion import ScanDistortion, log_depth
@@ -37,16 +37,6 @@ _TAIL = 4.0  # degrees of freedom of a Student t: what fits badly counts less
 _SCANS = 512  # at a time
 _DISTORTION = len(ScanDistortion._fields)
 _SCALE = OdometryCalibration._fields.index("scale")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surveyed:
-    """Of m landmarks: positions (m, 2), covariance (2m, 2m) of x and y of each in turn, the map's own word included.
-    sights: (m,) how often each was seen."""
-
-    positions: FloatArray
-    covariance: FloatArray
-    sights: NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,48 +58,72 @@ def survey_covariance(field: FieldMap) -> FloatArray:
     return out.reshape(2 * count, 2 * count)
 
 
-def surveyed(
-    chain: Chain,
-    near: Solution,
-    seen: Sights,
-    distortions: Sequence[ScanDistortion],
-    field: FieldMap,
-    config: Config,
-) -> Surveyed:
-    """near: the chain's solution, on the map as it was thought to be. distortions: of the sensors, where to begin.
-    field: what is known of the landmarks beforehand. config: what is known of the robot beforehand."""
-    problem = _Problem(chain, seen, field, config, len(distortions))
-    common = np.array([*near.calibration, *near.sensor])
-    state = _State(near.poses, common, np.array(distortions).reshape(-1, _DISTORTION), field.positions)
-    trust = np.ones(len(seen.nodes))
-    for _ in range(_ROUNDS):
-        steps, border = cyclic.solve(problem.blocks(state, trust), 0.0)
-        before, state = state, problem.moved(state, steps, border)
-        trust = problem.trust(state)
-        if np.abs(state.positions - before.positions).max(initial=0.0) < _SETTLED_M:
-            break
-    marginals = cyclic.marginals(problem.blocks(state, trust))
-    size = 2 * len(field.landmarks)
-    counts = np.bincount(seen.landmarks, minlength=len(field.landmarks))
-    return Surveyed(state.positions, marginals.border[-size:, -size:], counts)
+class Survey:
+    """One log. The border: what is free of calibration and sensor, distortions of the sensors in turn, landmarks in
+    turn.
 
+    poses (n, 3), common (GLOBALS,), distortions of the sensors, positions (m, 2) of the landmarks: where to begin, as
+    of a solution of the chain on a map. field, config: what is known of the landmarks and of the robot beforehand.
+    """
 
-class _Problem:
-    """The border: what is free of calibration and sensor, distortions of the sensors in turn, landmarks in turn."""
-
-    def __init__(self, chain: Chain, seen: Sights, field: FieldMap, config: Config, sensors: int) -> None:
-        self._motions = Linearised(Chain(chain.stamps_ns, chain.motions, (), chain.guess), config)
-        self._seen, self._field, self._prior = seen, field, config.scan_distortion
-        self._free = int(self._motions.free.sum())
-        self._landmarks = self._free + _DISTORTION * sensors
-        self._size = self._landmarks + 2 * len(field.landmarks)
+    def __init__(
+        self,
+        chain: Chain,
+        poses: FloatArray,
+        common: FloatArray,
+        seen: Sights,
+        distortions: Sequence[ScanDistortion],
+        positions: FloatArray,
+        field: FieldMap,
+        config: Config,
+    ) -> None:
+        self._motions = Linearised(replace(chain, factors=()), config)
+        self._seen, self._prior = seen, config.scan_distortion
+        self._state = _State(poses, common, np.array(distortions).reshape(-1, _DISTORTION), positions)
+        self._trust = np.ones(len(seen.nodes))
+        free, sigmas = self._motions.free, np.tile(self._prior.sigmas(), len(distortions))
+        self._landmarks = int(free.sum()) + len(sigmas)
         # what is not free has a column in which nothing is
-        self._open = np.tile(self._prior.sigmas() > 0.0, sensors)
-        self._information = np.linalg.inv(survey_covariance(field))
+        of_robot = np.concatenate([self._motions.sigmas[free], np.where(sigmas > 0.0, sigmas, 1.0)])
+        self._mean = np.concatenate(
+            [self._motions.means[free], np.tile(self._prior.means(), len(distortions)), field.positions.ravel()]
+        )
+        self._size, self._free = len(self._mean), int(free.sum())
+        self._information = np.diag(np.append(of_robot**-2.0, np.full(field.positions.size, EXACT_M**-2.0)))
+        self._of_map = np.linalg.inv(survey_covariance(field))
 
-    def blocks(self, state: _State, trust: FloatArray) -> Blocks:
-        """The normal equations about a state; trust: (k,) share that counts of each sight."""
-        count, linearised = len(state.poses), self._motions
+    @property
+    def positions(self) -> FloatArray:
+        """(m, 2) of the landmarks."""
+        return self._state.positions
+
+    def seen(self) -> NDArray[np.bool_]:
+        """(m,) whether it saw a landmark."""
+        return np.bincount(self._seen.landmarks, minlength=len(self.positions)) > 0
+
+    def settle(self, positions: FloatArray) -> None:
+        """All but the landmarks as they are likeliest with these at positions (m, 2)."""
+        self._state = replace(self._state, positions=positions)
+        for _ in range(_ROUNDS):
+            steps, border = cyclic.solve(self._blocks(self._information, positions), 0.0)
+            self._state = replace(self._moved(steps, border), positions=positions)
+            self._trust = self._trusted()
+            if np.abs(steps[:, :2]).max() < _SETTLED_M:
+                break
+
+    def says(self, before: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the landmarks: mean (2m,) and covariance (2m, 2m) by this log and by the map, which has them at `before`
+        (m, 2)."""
+        information = self._information.copy()
+        information[self._landmarks :, self._landmarks :] = self._of_map
+        marginals = cyclic.marginals(self._blocks(information, before))
+        own = slice(self._landmarks, None)
+        return self.positions.ravel() + marginals.border_step[own], marginals.border[own, own]
+
+    def _blocks(self, information: FloatArray, positions: FloatArray) -> Blocks:
+        """The normal equations about the state, for a border that is known beforehand with that information, the
+        landmarks at positions (m, 2)."""
+        state, linearised, count = self._state, self._motions, len(self._state.poses)
         out = Blocks.zeros(count, 3, self._size)
         rows = self._as_said(linearised.motions(state.poses, state.common), state)
         before, after, towards = rows.before, rows.after, rows.towards[..., None]
@@ -124,14 +138,19 @@ class _Problem:
         first = linearised.first(state.poses)
         out.diagonal[0] += first.by_pose[0].T @ first.by_pose[0]
         out.border[0, :, -1] += first.by_pose[0].T @ first.towards[0]
-        self._add_priors(out, state)
+        mean = np.append(self._mean[: self._landmarks], positions)
+        common = state.common[linearised.free]
+        at = np.concatenate([common, state.distortions.ravel(), state.positions.ravel()])
+        out.corner[:-1, :-1] += information
+        out.corner[:-1, -1] += information @ (mean - at)
         scans = self._seen.scans
         for start in range(0, int(scans[-1]) + 1 if len(scans) else 0, _SCANS):
-            at = np.arange(*np.searchsorted(scans, [start, start + _SCANS]))
-            self._add_sights(out, state, self._seen.take(at), trust[at])
+            those = np.arange(*np.searchsorted(scans, [start, start + _SCANS]))
+            self._add_sights(out, state, self._seen.take(those), self._trust[those])
         return out
 
-    def moved(self, state: _State, steps: FloatArray, border: FloatArray) -> _State:
+    def _moved(self, steps: FloatArray, border: FloatArray) -> _State:
+        state = self._state
         common, distortions = state.common.copy(), state.distortions
         common[self._motions.free] += border[: self._free]
         return _State(
@@ -141,12 +160,13 @@ class _Problem:
             state.positions + border[self._landmarks :].reshape(-1, 2),
         )
 
-    def trust(self, state: _State) -> FloatArray:
-        """(k,) by errors that are not widened: whether something is right shows in each sight anew."""
+    def _trusted(self) -> FloatArray:
+        """(k,) share that counts of each sight, by errors that are not widened: whether something is right shows in
+        each sight anew."""
         seen = self._seen
         whole = seen.covariance + seen.shared[:, :, None] ** 2 * np.eye(2)
-        error, _ = self._errors(state, seen)
-        misfit = np.einsum("ki,ki->k", error, np.linalg.solve(whole, error[..., None])[..., 0])
+        error, _ = self._errors(self._state, seen)
+        misfit = squared_mahalanobis(error, whole)
         return np.asarray(np.minimum(1.0, (_TAIL + 2.0) / (_TAIL + misfit)))
 
     def _as_said(self, rows: MotionRows, state: _State) -> MotionRows:
@@ -161,21 +181,6 @@ class _Problem:
             by_globals[..., 0] -= (roots @ slope @ back @ rows.towards[..., None])[..., 0]
         towards = (whole @ rows.towards[..., None])[..., 0]
         return MotionRows(whole @ rows.before, whole @ rows.after, by_globals, towards)
-
-    def _add_priors(self, out: Blocks, state: _State) -> None:
-        linearised, free = self._motions, self._motions.free
-        weights = np.ones(self._size)
-        off = np.zeros(self._size)
-        weights[: self._free] = linearised.sigmas[free] ** -2.0
-        off[: self._free] = (linearised.means - state.common)[free]
-        scans = slice(self._free, self._landmarks)
-        weights[scans][self._open] = np.tile(self._prior.sigmas(), len(state.distortions))[self._open] ** -2.0
-        off[scans] = (self._prior.means() - state.distortions).ravel() * self._open
-        information = np.diag(weights)
-        information[self._landmarks :, self._landmarks :] = self._information
-        off[self._landmarks :] = (self._field.positions - state.positions).ravel()
-        out.corner[:-1, :-1] += information
-        out.corner[:-1, -1] += information @ off
 
     def _add_sights(self, out: Blocks, state: _State, seen: Sights, trust: FloatArray) -> None:
         """Errors that all of a scan share are eliminated: scan by scan, of unit variance."""

@@ -8,10 +8,13 @@ from numpy.typing import NDArray
 
 from estimators.calibrated import TOLD_NOTHING
 from estimators.fused import fused
-from estimators.surveyed import Surveyed, survey_covariance
+from estimators.surveyed import Survey, survey_covariance
 from fieldloc.covariance import propagate
 from fieldloc.field import FieldMap, Landmark
 from fieldloc.pose import FloatArray
+
+_ROUNDS = 8
+_SETTLED_M = 2e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,27 +71,33 @@ def held(done: SurveyedMap) -> FieldMap:
     )
 
 
-def surveyed_map(field: FieldMap, surveys: Sequence[Surveyed]) -> SurveyedMap:
+def surveyed_map(field: FieldMap, surveys: Sequence[Survey]) -> SurveyedMap:
     """What several logs say together; field: the map as all of them had it beforehand. ValueError for no survey.
 
-    If the logs contradict each other, all of what they say is that much less sure.
+    Each has poses and a robot of its own, and all the same landmarks: what it says of them is asked where all together
+    have them. If they contradict each other, all that they say is that much less sure.
     """
     if not surveys:
         raise ValueError("no log to survey the map from")
-    prior = survey_covariance(field)
-    together = fused(field.positions.ravel(), prior, [(one.positions.ravel(), one.covariance) for one in surveys])
-    found = together.mean.reshape(-1, 2)
-    now, before = (_own(covariance) for covariance in (together.covariance, prior))
-    seen = np.sum([one.sights for one in surveys], axis=0) > 0
+    prior, found = survey_covariance(field), surveys[0].positions
+    for _ in range(_ROUNDS):
+        for one in surveys:
+            one.settle(found)
+        together = fused(field.positions.ravel(), prior, [one.says(field.positions) for one in surveys])
+        before, found = found, together.mean.reshape(-1, 2)
+        if np.abs(found - before).max() < _SETTLED_M:
+            break
+    covariance = together.covariance
+    now, before = _own(covariance), _own(prior)
+    seen = np.any([one.seen() for one in surveys], axis=0)
     rows = tuple(map(_found, field.landmarks, found, now, before, seen.tolist()))
     marks = tuple(
-        replace(mark, position=at, covariance=covariance) if row.told else mark
-        for mark, at, covariance, row in zip(field.landmarks, found, now, rows, strict=True)
+        replace(mark, position=at, covariance=own) if row.told else mark
+        for mark, at, own, row in zip(field.landmarks, found, now, rows, strict=True)
     )
     told = np.array([row.told for row in rows])
-    common, prior_common = (_common(found, covariance, told) for covariance in (together.covariance, prior))
-    disagreement = together.disagreement
-    return SurveyedMap(replace(field, landmarks=marks), rows, together.covariance, common, prior_common, disagreement)
+    common, prior_common = _common(found, covariance, told), _common(found, prior, told)
+    return SurveyedMap(replace(field, landmarks=marks), rows, covariance, common, prior_common, together.disagreement)
 
 
 def _own(covariance: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 from estimators.chain import Chain
 from estimators.config import Config
 from estimators.solution import Solution
-from estimators.surveyed import Surveyed, surveyed
+from estimators.surveyed import Survey
 from estimators.surveyed_map import FoundLandmark, SurveyedMap, with_survey_sigma
 from estimators.surveyed_sights import sights
 from fieldloc.errors import FieldlocError
@@ -47,15 +47,16 @@ def survey(
     sensors: Sequence[LearnedNoise],
     before: FieldMap,
     config: Config,
-) -> Surveyed | None:
-    """What one log says, solved on the recording's map; before, config: what is known of map and robot beforehand.
-    None where no landmark was seen. What the compass, images and people say has no part in it."""
+) -> Survey | None:
+    """Of one log, solved on the recording's map; before, config: what is known of map and robot beforehand. None where
+    no landmark was seen. What the compass, images and people say has no part in it."""
     eyes = chain.seen_from(solution.poses, solution.calibration, solution.sensor)
     scans = [one for one in recording.measurements if isinstance(one, LandmarkScan)]
     seen = sights(scans, chain.stamps_ns, eyes, solution.covariances, recording.field, sensors, config.correlation)
     if not len(seen.nodes):
         return None
-    return surveyed(chain, solution, seen, [one.distortion for one in sensors], before, config)
+    common, distortions = np.array([*solution.calibration, *solution.sensor]), [one.distortion for one in sensors]
+    return Survey(chain, solution.poses, common, seen, distortions, recording.field.positions, before, config)
 
 
 def landmark_table(done: SurveyedMap) -> str:
