@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from estimators.config import Config, Graph
 from fieldloc.field import load_field
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, Measurement, Odometry
-from fieldloc.mount_correction import PARTS
+from fieldloc.mount_correction import PARTS, MountCorrection
 from logs.calibrating import calibrate_recordings
 from logs.replay import Recording
 from logs.simulate import load_scenario
@@ -16,11 +18,15 @@ from logs.simulate.topics import messages
 _KINDS: tuple[type[Measurement], ...] = (Odometry, InitialPose, Compass, ImageFeatures)
 
 
-def found_mount(duration_s: float, seed: int) -> list[tuple[str, float, float, float]]:
+def found_mount(duration_s: float, seed: int, log_focal: float | None = None) -> list[tuple[str, float, float, float]]:
     """Name, error, standard deviation, that of before, for each of PARTS: of a game in which nobody falls.
 
-    The constant errors are as large as the log claims, and change with the gait beside it.
+    The constant errors are as large as the log claims, and change with the gait beside it. log_focal: by how much the
+    logarithm of the focal length is larger than the log says; drawn from the prior unless told.
     """
+    config = replace(Config(), graph=Graph(engine="chain"))
+    if log_focal is None:
+        log_focal = config.mount.log_focal_sigma * float(np.random.default_rng(seed).standard_normal())
     quiet = {"falls": FallSettings(), "kidnappings": KidnappingSettings(), "penalties": PenaltySettings()}
     scenario = replace(load_scenario("kidsize-game"), duration_s=duration_s, **quiet)  # type: ignore[arg-type]  # one each
     claimed = scenario.vision.mount
@@ -38,11 +44,11 @@ def found_mount(duration_s: float, seed: int) -> list[tuple[str, float, float, f
         if isinstance(message.record, Odometry | InitialPose | Compass | ImageFeatures)
     ]
     measurements.sort(key=lambda measurement: (measurement.stamp_ns, _KINDS.index(type(measurement))))
-    recording = Recording(f"seed {seed}", field, scenario.vision.camera, tuple(measurements))
-    robot = calibrate_recordings([recording], replace(Config(), graph=Graph(engine="chain")))
+    camera = MountCorrection(log_focal=-log_focal).camera(scenario.vision.camera)
+    robot = calibrate_recordings([Recording(f"seed {seed}", field, camera, tuple(measurements))], config)
     by_name = {quantity.name: quantity for quantity in robot.mount}
-    true = game.camera.truth
+    true = {part: float(game.camera.truth.get(f"mount_error_{part}", log_focal)) for part in PARTS}
     return [
-        (f"camera {name}", found.value - true[f"mount_error_{name}"], found.sigma, found.prior_sigma)
+        (f"camera {name}", found.value - true[name], found.sigma, found.prior_sigma)
         for name, found in ((part, by_name[part]) for part in PARTS)
     ]

@@ -51,7 +51,7 @@ class MixtureBuilder:
         distortion: DistortionPrior = KNOWN,
     ) -> None:
         self._field = field
-        self._camera = camera
+        self._camera = None if camera is None else mount.camera(camera)
         self._correlation = correlation
         self._detection = detection
         self._mount = mount

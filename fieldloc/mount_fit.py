@@ -1,5 +1,5 @@
-"""What is wrong all the time with where a camera sits: its height, tilt and roll, from images and the poses they were
-taken from.
+"""What is wrong all the time with where a camera sits and how it sees: its height, tilt and roll and its focal length,
+from images and the poses they were taken from.
 
 A head that is a degree askew turns all lines and feet of all images alike; gait and joints add to it what differs from
 image to image. Both are told apart by their scatter:
@@ -8,7 +8,8 @@ image to image. Both are told apart by their scatter:
 
 The constant, and the wobble's sigmas by expectation maximization, come from the ends of lines and the posts' feet, each
 against the thing on the map that it can be from there alone. A constant pan is a turn of all bearings, which no image
-tells from a turn of the robot: it is the business of who knows how the robot moves (estimators.sensor).
+tells from a turn of the robot: it is the business of who knows how the robot moves (estimators.sensor). A focal length
+does not change from image to image.
 """
 
 from collections.abc import Sequence
@@ -22,13 +23,17 @@ from fieldloc.covariance import propagate
 from fieldloc.field import FieldMap
 from fieldloc.ground import attitude_axes, cross, project_points, robot_from_camera
 from fieldloc.measurements import CameraMount, ImageFeatures
-from fieldloc.mount_correction import MountCorrection
+from fieldloc.mount_correction import PARTS, MountCorrection
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import inflation
 
 _ROUNDS = 6
 _SETTLED = 0.1  # of a sigma
-_STEP = np.array([1e-4, 1e-5, 1e-5])  # of height, tilt, roll, where derivatives are taken numerically
+_STEP = np.array([1e-4, 1e-5, 1e-5])  # of a pose, where derivatives are taken numerically
+_MOUNT_STEP = np.array([1e-4, 1e-5, 1e-5, 1e-5])  # of height, tilt, roll, log of the focal length
+_WOBBLES = np.array([1.0, 1.0, 1.0, 0.0])
+_EXACT = 1e-9  # standard deviation of what is taken as known
+_SIZE = len(PARTS)
 _GATE = 13.8  # chi-square of two numbers, once in a thousand
 _CLEARER = 9.0  # by how much the next best thing on the map must fit worse
 _TAIL = 4.0  # degrees of freedom of a Student t: what fits badly counts less
@@ -38,8 +43,8 @@ _PRIOR_IMAGES = 4.0  # how many images the prior of the wobble is worth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountFit:
-    """In the order of mount_correction.PARTS: error (3,), what is to be added to what the log says; covariance (3, 3)
-    of that; wobble (3,) standard deviations image by image. sigmas: (3,) of the error beforehand. images: how many had
+    """In the order of mount_correction.PARTS: error (4,), what is to be added to what the log says; covariance (4, 4)
+    of that; wobble (4,) standard deviations image by image. sigmas: (4,) of the error beforehand. images: how many had
     something to say.
     """
 
@@ -52,7 +57,7 @@ class MountFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """Of one image: residual (k,) seen - predicted, in units of noise; its change with mount (k, 3) and pose (k, 3)."""
+    """Of one image: residual (k,) seen - predicted, in units of noise; its change with mount (k, 4) and pose (k, 3)."""
 
     residual: FloatArray
     by_mount: FloatArray
@@ -70,16 +75,17 @@ def fit_mount(
 ) -> MountFit:
     """images with the poses (n, 3) they were taken from and covariances (n, 3, 3) of those, robot frame.
 
-    sigmas: (3,) of the constant error beforehand, which is also where the wobble begins. correlation_s: over what time
+    sigmas: (4,) of the constant error beforehand, which is also where the wobble begins. correlation_s: over what time
     images err alike. Where nothing is told, the error is 0 with those sigmas.
     """
-    news = _news(images, correlation_s)
-    error, wobble = np.zeros(3), 0.5 * sigmas
+    news, sigmas = _news(images, correlation_s), np.maximum(sigmas, _EXACT)
+    error, wobble = np.zeros(_SIZE), 0.5 * sigmas * _WOBBLES
     covariance, used = np.diag(sigmas**2), 0
     for _ in range(_ROUNDS):
         so_far, spread = MountCorrection(*error.tolist()), covariance + np.diag(wobble**2)
+        seeing = so_far.camera(camera)
         seen = [
-            (_rows(_View(image, so_far.applied(image.mount), spread, pose, known, camera, field)), known, share)
+            (_rows(_View(image, so_far.applied(image.mount), spread, pose, known, seeing, field)), known, share)
             for image, pose, known, share in zip(images, poses, _DOUBT * covariances, news, strict=True)
         ]
         told = [(rows, known, share) for rows, known, share in seen if len(rows.residual)]
@@ -114,17 +120,17 @@ def _estimated(
         misfit = rows.residual @ np.linalg.solve(whole, rows.residual)
         weight = float(share * (_TAIL + len(rows.residual)) / (_TAIL + misfit))
         solved = np.linalg.solve(whole, np.column_stack([rows.by_mount, rows.residual]))
-        information = information + weight * (rows.by_mount.T @ solved[:, :3])
-        vector = vector + weight * (rows.by_mount.T @ solved[:, 3])
+        information = information + weight * (rows.by_mount.T @ solved[:, :_SIZE])
+        vector = vector + weight * (rows.by_mount.T @ solved[:, _SIZE])
         whitened.append((rows, solved, weight))
     covariance = np.linalg.inv(information)
     step = covariance @ vector
-    squares = _PRIOR_IMAGES * (0.5 * sigmas) ** 2
+    squares = _PRIOR_IMAGES * (0.5 * sigmas * _WOBBLES) ** 2
     count = float(_PRIOR_IMAGES)
     for rows, solved, weight in whitened:
         gain = wobble[:, None] ** 2 * rows.by_mount.T
-        mean = gain @ (solved[:, 3] - solved[:, :3] @ step)
-        left = wobble**2 - np.einsum("ik,ki->i", gain, solved[:, :3]) * wobble**2
+        mean = gain @ (solved[:, _SIZE] - solved[:, :_SIZE] @ step)
+        left = wobble**2 - np.einsum("ik,ki->i", gain, solved[:, :_SIZE]) * wobble**2
         squares = squares + weight * (mean**2 + left)
         count += weight
     return at + step, np.asarray(covariance), np.asarray(np.sqrt(squares / count))
@@ -135,7 +141,7 @@ Part = tuple[FloatArray, FloatArray, FloatArray]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """An image, its mount as it is thought to be with covariance `spread` (3, 3), and the pose (3,) that it was taken
+    """An image, its mount as it is thought to be with covariance `spread` (4, 4), and the pose (3,) that it was taken
     from with covariance `known` (3, 3), robot frame."""
 
     image: ImageFeatures
@@ -150,7 +156,7 @@ class _View:
 def _rows(view: _View) -> _Rows:
     parts = [*_of_lines(view), *_of_feet(view)]
     if not parts:
-        return _Rows(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+        return _Rows(np.zeros(0), np.zeros((0, _SIZE)), np.zeros((0, 3)))
     return _Rows(*(np.concatenate([part[k] for part in parts]) for k in range(3)))
 
 
@@ -161,6 +167,7 @@ def _of_lines(view: _View) -> list[Part]:
         return []
     ends = np.array([line.ends_px for line in image.lines])
     noise = np.array([line.covariance_px2 for line in image.lines])
+    outwards = ends - np.array([camera.cx_px, camera.cy_px])
     rays, by_pixel, exists = camera.ray_and_jacobian(ends)
     rotation = robot_from_camera(mount)
     along = field.lines[:, 1] - field.lines[:, 0]
@@ -181,7 +188,9 @@ def _of_lines(view: _View) -> list[Part]:
         turned = cross(attitude_axes(mount)[1:, None], directions)  # (tilt and roll, end, 3)
         by_height = -depth[:, None] / mount.height_m * directions[:, 2] / scale[:, None]
         by_attitude = np.einsum("mi,aei->mea", plane / scale[:, None], turned)
-        by_mount = np.concatenate([by_height[..., None], by_attitude], axis=-1)  # (m, 2, 3)
+        longer = -(rotation @ by_pixel[k] @ outwards[k][..., None])[..., 0]  # of both rays, by a longer focal length
+        by_focal = plane @ longer.T / scale[:, None]
+        by_mount = np.concatenate([by_height[..., None], by_attitude, by_focal[..., None]], axis=-1)  # (m, 2, 4)
         by_pose = np.empty((len(plane), 2, 3))
         by_pose[..., 0] = -nx[:, None] / mount.height_m * directions[:, 2] / scale[:, None]
         by_pose[..., 1] = -ny[:, None] / mount.height_m * directions[:, 2] / scale[:, None]
@@ -202,11 +211,13 @@ def _of_feet(view: _View) -> list[Part]:
     posts, field = view.image.posts, view.field
     if not field.landmarks or all(post.foot_px is None for post in posts):
         return []
-    there = _feet(view, view.mount, view.pose)
-    steps = [step * axis for step, axis in zip(_STEP.tolist(), np.eye(3), strict=True)]
-    moved = [_feet(view, MountCorrection(*step.tolist()).applied(view.mount), view.pose) for step in steps]
-    walked = [_feet(view, view.mount, se2.retract(view.pose, step)) for step in steps]
-    by_mount, by_pose = ((np.stack(those, axis=-1) - there[..., None]) / _STEP for those in (moved, walked))
+    still = MountCorrection()
+    there = _feet(view, still, view.pose)
+    moved = [_feet(view, MountCorrection(*step), view.pose) for step in np.diag(_MOUNT_STEP).tolist()]
+    walked = [_feet(view, still, se2.retract(view.pose, step)) for step in np.diag(_STEP)]
+    by_mount, by_pose = (
+        (np.stack(those, axis=-1) - there[..., None]) / step for those, step in ((moved, _MOUNT_STEP), (walked, _STEP))
+    )
     seen = np.isfinite(there).all(axis=1)
     out = []
     for post in posts:
@@ -222,21 +233,23 @@ def _of_feet(view: _View) -> list[Part]:
     return out
 
 
-def _feet(view: _View, mount: CameraMount, pose: FloatArray) -> FloatArray:
-    """(m, 2) pixels of the near sides of all landmarks, NaN behind the camera."""
+def _feet(view: _View, beside: MountCorrection, pose: FloatArray) -> FloatArray:
+    """(m, 2) pixels of the near sides of all landmarks, NaN behind the camera; beside: what differs from the view's."""
+    mount, camera = beside.applied(view.mount), beside.camera(view.camera)
     at = se2.apply(se2.inverse(pose), view.field.positions)
     foot = np.array([mount.x_m, mount.y_m])
     reach = np.linalg.norm(at - foot, axis=1, keepdims=True)
     radius = 0.5 * np.array([mark.diameter_m for mark in view.field.landmarks])[:, None]
     near = at - (at - foot) * (radius / np.maximum(reach, 1e-6))
-    pixels, _ = project_points(view.camera, mount, np.column_stack([near, np.zeros(len(near))]))
+    pixels, _ = project_points(camera, mount, np.column_stack([near, np.zeros(len(near))]))
     return pixels
 
 
 def _clearest(view: _View, miss: FloatArray, by_mount: FloatArray, by_pose: FloatArray, own: FloatArray) -> Part | None:
     """The one of m things on the map that this can be, whitened; None for none, and where two can be it.
 
-    miss: (m, 2) seen - predicted, by_mount and by_pose (m, 2, 3) of the prediction; own: (m, 2, 2) noise of the seen.
+    miss: (m, 2) seen - predicted, by_mount (m, 2, 4) and by_pose (m, 2, 3) of the prediction; own: (m, 2, 2) noise of
+    the seen.
     """
     whole = own + propagate(by_pose, view.known) + propagate(by_mount, view.spread)
     distance = np.einsum("mi,mi->m", miss, np.linalg.solve(whole, miss[..., None])[..., 0])

@@ -13,7 +13,7 @@ from estimators.legs import Legs
 from estimators.sensor import seen_from
 from estimators.smoother import Smoother
 from estimators.solution import Solution
-from estimators.surveyed import Surveyed
+from estimators.surveyed import Survey
 from estimators.surveyed_map import SurveyedMap, held, surveyed_map
 from fieldloc import pose as se2
 from fieldloc.errors import FieldlocError
@@ -85,7 +85,7 @@ class _Solved:
     legs: Legs
     views: _Views
     sensors: tuple[LearnedNoise, ...]
-    survey: Surveyed | None
+    survey: Survey | None
     warnings: tuple[str, ...]
 
 
@@ -228,12 +228,12 @@ def _fitted(
     poses = np.concatenate([each.views.poses for each in solved])
     covariances = np.concatenate([each.views.covariances for each in solved])
     kept = np.unique(np.linspace(0, len(images) - 1, min(len(images), _MOST_IMAGES)).astype(np.intp))
-    claimed = np.sqrt(np.diagonal(images[0].mount.covariance))[[0, 2, 3]]
+    claimed = np.append(np.sqrt(np.diagonal(images[0].mount.covariance))[[0, 2, 3]], config.mount.log_focal_sigma)
     return fit_mount(
         [images[k] for k in kept],
         poses[kept],
         covariances[kept],
-        cameras[-1],
+        config.mount.camera(cameras[-1]),
         recordings[-1].field,
         claimed,
         config.correlation.image_s,
@@ -256,8 +256,11 @@ def _wobble(fit: MountFit) -> tuple[float, ...]:
 
 
 def _mount(quantities: Sequence[Quantity], wobble: Sequence[float]) -> MountCorrection:
-    """With what is left from image to image."""
-    left = [float(np.hypot(one.sigma, own)) for one, own in zip(quantities, wobble, strict=True)]
+    """With what is left from image to image; what is the same in all of them is known as well as on another day."""
+    left = [
+        float(np.hypot(one.sigma, own)) if own > 0.0 else one.next_sigma
+        for one, own in zip(quantities, wobble, strict=True)
+    ]
     return MountCorrection(*(one.value for one in quantities), *left)
 
 

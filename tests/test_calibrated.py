@@ -19,7 +19,7 @@ CONFIG = Config()
 SIZE = len(global_sigmas(CONFIG))
 MOUNT = tuple(
     Quantity("mount", name, value, 0.002, 0.02, 3.0, True)
-    for name, value in (("height_m", -0.01), ("tilt_rad", 0.02), ("roll_rad", 0.01))
+    for name, value in (("height_m", -0.01), ("tilt_rad", 0.02), ("roll_rad", 0.01), ("log_focal", 0.015))
 )
 SCANS = tuple(
     Quantity("scan_distortion", name, value, 0.02, 0.05, 2.0, True)
@@ -141,7 +141,7 @@ def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     true = rng.normal(size=SIZE) * global_sigmas(CONFIG)
     robot = calibrated([posterior(true, rng, 50)], CONFIG)
-    done = CalibratedRobot(("a", "b"), robot, NOISE, SCANS, MOUNT, (0.004, 0.01, 0.01), ())
+    done = CalibratedRobot(("a", "b"), robot, NOISE, SCANS, MOUNT, (0.004, 0.01, 0.01, 0.0), ())
     path = tmp_path / "robot.toml"
     write_settings(path, done, CONFIG)
     assert load_config(path) == done.settings(CONFIG)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fieldloc.camera import Camera
 from fieldloc.measurements import CameraMount
 from fieldloc.mount_correction import MountCorrection
 
@@ -24,3 +25,13 @@ def test_what_is_left_takes_the_place_of_what_the_log_claims() -> None:
 
 def test_where_nothing_is_known_the_log_is_right() -> None:
     assert MountCorrection().applied(MOUNT) is MOUNT
+
+
+def test_a_longer_focal_length_magnifies_about_the_middle() -> None:
+    camera = Camera("pinhole", 640, 480, 500.0, 510.0, 319.5, 239.5, (-0.1, 0.01, 0.0, 0.0))
+    longer = MountCorrection(log_focal=0.02).camera(camera)
+    middle = np.array([319.5, 239.5])
+    ray = np.array([0.2, -0.1, 1.0])
+    pixels = [one.project(ray)[0] - middle for one in (camera, longer)]
+    np.testing.assert_allclose(pixels[1], np.exp(0.02) * pixels[0])
+    assert MountCorrection(tilt_rad=0.1).camera(camera) is camera
