@@ -76,21 +76,18 @@ class Line(NamedTuple):
 def seen_of(model: ScanModel, matches: IntArray, wider: FloatArray | None) -> list[Seen]:
     """Observations that have a landmark, -1 for none. wider: as `ScanModel.terms` takes it."""
     out = []
-    for match, (x, y), (r, b), ((rr, rb), (_, bb)), log_peak, (plain_r, plain_b), (longer, turned), (by_r, by_b) in zip(
+    every = zip(
         matches.tolist(),
         model.positions[matches].tolist(),
-        model.range_bearing.tolist(),
-        model.covariance.tolist(),
-        model.log_peak.tolist(),
-        model.shared_plain.tolist(),
-        model.shared_widened.tolist(),
         [(1.0, 1.0)] * len(matches) if wider is None else wider.tolist(),
+        model.rows,
         strict=True,
-    ):
+    )
+    for match, (x, y), (by_r, by_b), (r, b, rr, rb, bb, plain_l, plain_t, longer, turned, log_peak, _) in every:
         if match < 0:
             continue
         det = rr * bb - rb * rb
-        s = plain_r * plain_r * bb / det, -plain_r * plain_b * rb / det, plain_b * plain_b * rr / det
+        s = plain_l * plain_l * bb / det, -plain_l * plain_t * rb / det, plain_t * plain_t * rr / det
         log_peak -= 0.5 * math.log(det)
         rr, rb, bb = by_r * rr, math.sqrt(by_r * by_b) * rb, by_b * bb
         det = rr * bb - rb * rb

@@ -4,32 +4,16 @@ The same as `scan_pairs` has for many poses, and `scan_assignments.likeliest` wh
 """
 
 import math
-from collections.abc import Collection, Iterable
-from typing import NamedTuple
+from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from fieldloc.mixture import IntArray
 from fieldloc.scan_alone import Symmetric, Vector
-from fieldloc.scan_model import NEAREST_M, ScanModel
+from fieldloc.scan_model import NEAREST_M, Row, ScanModel
 
 MOST = 256  # observations times landmarks, up to which this is faster than arrays
-
-
-class _Row(NamedTuple):
-    """An observation: its own covariance of range and bearing, and standard deviations of what is shared. options:
-    landmarks that its label allows."""
-
-    range_m: float
-    bearing_rad: float
-    rr: float
-    rb: float
-    bb: float
-    longer: float
-    turned: float
-    gate: float
-    options: list[int]
 
 
 def matches(model: ScanModel, pose: Vector, covariance: Symmetric) -> IntArray | None:
@@ -49,7 +33,7 @@ def matches(model: ScanModel, pose: Vector, covariance: Symmetric) -> IntArray |
         xx, xy = p00 + aside * (by_x - p02), p01 + ahead * p02 - aside * by_y
         there.append((ahead, aside, math.hypot(ahead, aside), xx, xy, p11 + ahead * (by_y + p12)))
     found: list[tuple[int, int]] = []
-    for index, (r, b, rr, rb, bb, longer, turned, gate, options) in enumerate(_rows(model)):
+    for index, ((r, b, rr, rb, bb, longer, turned, _, _, _, gate), options) in enumerate(_each(model)):
         c, s = math.cos(b), math.sin(b)
         at_x, at_y = r * c, r * s
         rr, bb = rr + longer * longer, bb + turned * turned
@@ -74,8 +58,8 @@ def recognised(model: ScanModel, pose: Vector) -> IntArray:
     places, wider = model.positions.tolist(), model.wider.tolist()
     there: dict[int, tuple[float, float]] = {}
     gains: dict[tuple[int, int], float] = {}
-    widened, log_peaks = model.shared_widened.tolist(), model.log_peak.tolist()
-    for index, (r, b, rr, rb, bb, longer, turned, gate, options) in enumerate(_rows(model)):
+    for index, (row, options) in enumerate(_each(model)):
+        r, b, rr, rb, bb, longer, turned, longer_widened, turned_widened, log_peak, gate = row
         near = []
         plain_rr, plain_bb = rr + longer * longer, bb + turned * turned
         for landmark in options:
@@ -93,9 +77,9 @@ def recognised(model: ScanModel, pose: Vector) -> IntArray:
         det = rr * bb - rb * rb
         by_r, by_b = (max(1.0, *(wider[landmark][k] for landmark, _, _ in near)) for k in (0, 1))
         rr, rb, bb = by_r * rr, math.sqrt(by_r * by_b) * rb, by_b * bb
-        (longer, turned), log_peak, own = widened[index], log_peaks[index], rr * bb - rb * rb
+        own, whole_rr, whole_bb = rr * bb - rb * rb, rr + longer_widened**2, bb + turned_widened**2
         for landmark, er, eb in near:
-            misfit, whole = _misfit(er, eb, rr + longer * longer, rb, bb + turned * turned)
+            misfit, whole = _misfit(er, eb, whole_rr, rb, whole_bb)
             gain = log_peak - 0.5 * (misfit + math.log(whole / own * det))
             if gain > 0.0:
                 gains[index, landmark] = gain
@@ -108,21 +92,9 @@ def recognised(model: ScanModel, pose: Vector) -> IntArray:
     return _as_array(gains, len(model.range_bearing))
 
 
-def _rows(model: ScanModel) -> list[_Row]:
-    options: list[list[int]] = [[] for _ in model.range_bearing]
-    for row, landmark in zip(*(side.tolist() for side in model.candidates), strict=True):
-        options[row].append(landmark)
-    return [
-        _Row(r, b, rr, rb, bb, longer, turned, gate, of_it)
-        for (r, b), ((rr, rb), (_, bb)), (longer, turned), gate, of_it in zip(
-            model.range_bearing.tolist(),
-            model.covariance.tolist(),
-            model.shared_plain.tolist(),
-            model.gates.tolist(),
-            options,
-            strict=True,
-        )
-    ]
+def _each(model: ScanModel) -> Iterator[tuple[Row, list[int]]]:
+    """Observations, and the landmarks that they may be by their labels."""
+    return zip(model.rows, model.options, strict=True)
 
 
 def _misfit(er: float, eb: float, rr: float, rb: float, bb: float) -> tuple[float, float]:

@@ -26,7 +26,7 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
     """
     if len(poses) == 1 and model.named is not None and len(model.named):
         # if all are where their labels say, nothing else is to be asked
-        wider = model.widening(np.arange(len(model.named)), model.named)
+        wider = model.widening_of(model.named)
         if (undoubted := _alone(model, model.named, wider, poses, covariances)) is not None:
             return undoubted, model.named[None]
         found = Assignments(np.zeros(1, dtype=np.intp), model.named[None], np.zeros((1, 3)), np.zeros(1))
@@ -35,7 +35,7 @@ def expand(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> tupl
     elif len(poses) == 1:
         only = candidates.matches(model, _vector(poses[0]), _upper(covariances[0]))
         if only is not None:
-            wider = model.widening(np.flatnonzero(only >= 0), only[only >= 0])
+            wider = model.widening_of(only)
             if (undoubted := _alone(model, only, wider, poses, covariances)) is not None:
                 return undoubted, only[None]
     pairs = pairs_of(model, poses, covariances)
@@ -60,12 +60,10 @@ def likeliest_near(model: ScanModel, pose: FloatArray, covariance: FloatArray, s
     """(n,) landmark of each observation, -1 for none, near a pose (3,) up to a covariance (3, 3), if that is so likely
     beside all others that explain something."""
     matches = model.named if model.named is not None else candidates.matches(model, _vector(pose), _upper(covariance))
-    if matches is not None and model.survey is None and len(matches) <= MOST:
-        wider = model.widening(np.flatnonzero(matches >= 0), matches[matches >= 0])
-        if seen := seen_of(model, matches, wider):
-            out = expanded_alone(seen, _vector(pose), _upper(covariance))
-            if out.least_gain > _DOUBTFUL and 1.0 + out.doubt < 1.0 / share:
-                return matches
+    if matches is not None and model.survey is None and 0 < np.count_nonzero(matches >= 0) <= MOST:
+        out = expanded_alone(seen_of(model, matches, model.widening_of(matches)), _vector(pose), _upper(covariance))
+        if out.least_gain > _DOUBTFUL and 1.0 + out.doubt < 1.0 / share:
+            return matches
     near, every = expand(model, pose[None], covariance[None])
     if not len(every) or np.exp(near.evidence - near.evidence.max()).sum() > 1.0 / share:
         return None

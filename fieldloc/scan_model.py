@@ -52,6 +52,23 @@ class Errors(NamedTuple):
     bearing_rad: FloatArray
 
 
+class Row(NamedTuple):
+    """An observation by plain numbers: its own covariance of range and bearing; one standard deviation each of what is
+    shared, as it is and widened; the rest as `ScanModel` has it."""
+
+    range_m: float
+    bearing_rad: float
+    rr: float
+    rb: float
+    bb: float
+    longer: float
+    turned: float
+    longer_widened: float
+    turned_widened: float
+    log_peak: float
+    gate: float
+
+
 @dataclass(frozen=True, eq=False)
 class ScanModel:
     """range_bearing (n, 2) as LandmarkScan, covariance (n, 2, 2) of each one's own error; may (n, m): which can be
@@ -86,6 +103,12 @@ class ScanModel:
         out = np.ones((len(self.range_bearing), 2))
         np.maximum.at(out, row, self.wider[landmark])
         return out
+
+    def widening_of(self, matches: IntArray) -> FloatArray | None:
+        """(n, 2) the same where each observation may be one landmark only (n,), -1 for none."""
+        if not self._repeats:
+            return None
+        return np.where((matches >= 0)[:, None], np.maximum(self.wider[matches], 1.0), 1.0)
 
     def news(self, matches: IntArray) -> float:
         """Share of what was seen, on the average, that was not seen before, if it was one of the matches (c, n)."""
@@ -215,11 +238,10 @@ class ScanModel:
     @cached_property
     def named(self) -> IntArray | None:
         """(n,) landmark of each observation, where their labels say so and none is there twice."""
-        row, landmark = self.candidates
-        n = len(self.range_bearing)
-        if len(row) != n or (row != np.arange(n)).any() or len(set(landmark.tolist())) != n:
+        if not (self.allowed == 1).all():
             return None
-        return landmark
+        landmark = self.may.argmax(axis=1)
+        return landmark if len(set(landmark.tolist())) == len(landmark) else None
 
     @cached_property
     def candidates(self) -> tuple[IntArray, IntArray]:
@@ -239,7 +261,30 @@ class ScanModel:
 
     @cached_property
     def gates(self) -> FloatArray:
-        return np.where(self.may.sum(axis=1) == 1, NAMED_GATE, GATE)
+        return np.where(self.allowed == 1, NAMED_GATE, GATE)
+
+    @cached_property
+    def allowed(self) -> IntArray:
+        """(n,) how many landmarks each may be by its label."""
+        return np.asarray(self.may.sum(axis=1), dtype=np.intp)
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """Of n."""
+        r, b = self.range_bearing.T.tolist()
+        rr, rb, _, bb = self.covariance.reshape(-1, 4).T.tolist()
+        plain, widened = self.shared_plain.T.tolist(), self.shared_widened.T.tolist()
+        return list(map(Row, r, b, rr, rb, bb, *plain, *widened, self.log_peak.tolist(), self.gates.tolist()))
+
+    @cached_property
+    def options(self) -> list[list[int]]:
+        """Of n, the landmarks that each may be by its label."""
+        if self.named is not None:
+            return [[landmark] for landmark in self.named.tolist()]
+        out: list[list[int]] = [[] for _ in self.range_bearing]
+        for row, landmark in zip(*(side.tolist() for side in self.candidates), strict=True):
+            out[row].append(landmark)
+        return out
 
     @cached_property
     def _repeats(self) -> bool:
