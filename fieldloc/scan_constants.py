@@ -9,6 +9,9 @@ import numpy as np
 from fieldloc import pose as se2
 from fieldloc.field import FieldMap
 from fieldloc.pose import FloatArray
+from fieldloc.scan_moments import upper
+
+_NO_ERROR = 1e-3  # of a variance
 
 
 class Frames(NamedTuple):
@@ -31,6 +34,17 @@ class OnMap(NamedTuple):
     row_of: dict[str, int]
     diagonal_m: float
     survey_m2: float
+
+    def matters(self, covariance: FloatArray, ranges_m: FloatArray) -> bool:
+        """Whether its errors are something beside those of a scan, of covariances (n, 2, 2) and ranges (n,): if not, it
+        is as good as exact, which saves a third of the work."""
+        if self.survey_m2 == 0.0:
+            return False
+        rr, rb, bb = upper(covariance)
+        r2 = ranges_m * ranges_m
+        # half the smaller variance at least of where one was seen
+        smallest = (rr * bb - rb * rb) * r2 / (rr + r2 * bb)
+        return bool(self.survey_m2 > _NO_ERROR * smallest.min())
 
 
 @lru_cache(maxsize=16)

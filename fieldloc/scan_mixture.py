@@ -43,7 +43,6 @@ from fieldloc.scan_wrong import Sector
 
 _ANY, _NONE = -1, -2  # instead of a landmark's index: it has no label, or one that is not on the map
 _RING_STEPS = 24
-_NO_ERROR = 1e-3  # of a variance
 _MAX_NONLINEARITY = 0.5  # beyond it a fix's Gaussian is not one, see LandmarkFix
 
 
@@ -293,7 +292,7 @@ def scan_mixture(
         own,
         may,
         field.positions,
-        field.positions_covariance if _matters(on_map.survey_m2, own, r) else None,
+        field.positions_covariance if on_map.matters(own, r) else None,
         math.log1p(-detection.clutter) - np.log(may.sum(axis=1)),
         log_clutter,
         wider,
@@ -322,14 +321,3 @@ def scan_mixture(
         measured=measured,
         misses=misses,
     )
-
-
-def _matters(survey_m2: float, own: FloatArray, r: FloatArray) -> bool:
-    """Whether a map's errors are something beside a scan's, of covariances (n, 2, 2) and ranges (n,): if not, it is as
-    good as exact, which saves a third of the work."""
-    if survey_m2 == 0.0:
-        return False
-    rr, rb, bb = upper(own)
-    # half the smaller variance at least of where one was seen
-    smallest = (rr * bb - rb * rb) * r * r / (rr + r * r * bb)
-    return bool(survey_m2 > _NO_ERROR * smallest.min())

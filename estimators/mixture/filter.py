@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimators.base import Ambiguity, Estimate, Event, Innovation
+from estimators.base import Ambiguity, Estimate, Event, Hypothesis, Innovation
 from estimators.config import Config
 from estimators.divergence import Restart
 from estimators.legs import Legs
@@ -190,13 +190,17 @@ class MixtureFilter:
         return Estimate(self._now_ns, pose, turned(covariance, float(pose[2])))
 
     def ambiguity(self) -> Ambiguity | None:
-        if not len(self._bank):
+        if (now := self.likeliest()) is None:
             return None
-        lost = math.exp(self._fed().total)
+        lost, tracks = math.exp(self._fed().total), self._lineage.tracks
+        if tracks.size == 1:
+            return Ambiguity(
+                now.stamp_ns, (Hypothesis(1.0 - lost, now.pose, now.covariance, tracks.item()),), 0.0, lost
+            )
         bank = self._moved(self._bank)
         if not self._views.same:
             bank = bank.seen(self._views.now(self._extra))
-        return report.ambiguity(self._now_ns, bank, self._sides, self._first, self._lineage.tracks, lost)
+        return report.ambiguity(self._now_ns, bank, self._sides, self._first, tracks, lost)
 
     @property
     def events(self) -> Sequence[Event]:
@@ -329,15 +333,5 @@ class MixtureFilter:
             bank.found[:] = 0
             # who was carried may have been turned since the compass spoke: what it says next is news again
             self._unheard = not started or not self._heard.lately(self._now_ns)
-        weights, lost = np.exp(bank.log_weights), math.exp(self._lost.total)
-        if len(bank) == 1:  # its copies are places of their own
-            other = float(weights.sum() - weights[0, copy]) + lost * (1.0 - 1.0 / len(self._sides))
-            if self._watch.knows(weights[0], self._lineage.tracks[0], float(weights[0, copy]), 1.0 - other):
-                return
-        else:
-            other = report.mirrored(self._last, bank, self._sides, lost)
-        order = np.argsort(-bank.log_weights, axis=None, kind="stable")
-        order = np.append(row * len(self._sides) + copy, order[order != row * len(self._sides) + copy])
-        poses = self._sides.unfold(bank.poses).reshape(-1, 3)[order]
-        tracks = self._lineage.tracks.ravel()[order]
-        self._watch.look(self._now_ns, weights.ravel()[order], poses, tracks, other)
+        lost = math.exp(self._lost.total)
+        self._watch.after(self._now_ns, bank, self._sides, self._first, self._lineage.tracks, lost)

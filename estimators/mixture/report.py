@@ -7,7 +7,6 @@ from estimators.mixture.bank import Bank
 from estimators.mixture.sides import Sides, distance
 from fieldloc import pose as se2
 from fieldloc.mixture import IntArray
-from fieldloc.one_pose import turned
 from fieldloc.pose import FloatArray
 
 _TIE = 1e-6  # of log-weights
@@ -72,10 +71,6 @@ def ambiguity(
     stamp_ns: int, bank: Bank, sides: Sides, first: tuple[int, int], tracks: IntArray, lost: float
 ) -> Ambiguity:
     """first: row and copy of the estimate."""
-    if bank.log_weights.size == 1:
-        pose = bank.poses[0]
-        covariance = turned(bank.covariances[0, :3, :3], float(pose[2]))
-        return Ambiguity(stamp_ns, (Hypothesis(1.0 - lost, pose, covariance, int(tracks[0, 0])),), 0.0, lost)
     weights = np.exp(bank.log_weights - bank.log_weights.max())  # a robot that is surely lost leaves nothing else
     weights /= weights.sum()
     pose = sides.of_one(first[1], bank.poses[first[0]])

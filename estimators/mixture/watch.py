@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.base import Event, EventKind
+from estimators.mixture import report
 from estimators.mixture.bank import Bank
-from estimators.mixture.sides import distance
+from estimators.mixture.sides import Sides, distance
 from fieldloc.mixture import IntArray
 from fieldloc.pose import FloatArray
 
@@ -51,7 +52,24 @@ class Watch:
         if joined := len(families) - len({row for row, _ in families}):
             self._say(stamp_ns, "merge", f"{joined + 1} places have become one")
 
-    def knows(self, weights: FloatArray, tracks: IntArray, place: float, side: float) -> bool:
+    def after(
+        self, stamp_ns: int, bank: Bank, sides: Sides, first: tuple[int, int], tracks: IntArray, lost: float
+    ) -> None:
+        """An observation. first: row and copy of the best; tracks (h, c); lost: probability of none of them."""
+        weights, (row, copy) = np.exp(bank.log_weights), first
+        if len(bank) == 1:  # its copies are places of their own
+            other = float(weights.sum() - weights[first]) + lost * (1.0 - 1.0 / len(sides))
+            if self._knows(weights[0], tracks[0], float(weights[first]), 1.0 - other):
+                return
+        else:
+            other = report.mirrored(sides.of_one(copy, bank.poses[row]), bank, sides, lost)
+        best = row * len(sides) + copy
+        order = np.argsort(-bank.log_weights, axis=None, kind="stable")
+        order = np.append(best, order[order != best])
+        poses = sides.unfold(bank.poses).reshape(-1, 3)[order]
+        self.look(stamp_ns, weights.ravel()[order], poses, tracks.ravel()[order], other)
+
+    def _knows(self, weights: FloatArray, tracks: IntArray, place: float, side: float) -> bool:
         """Whether there is nothing to say of hypotheses (n,) at n places, the best of that probability, on a side of
         that: so it is most of the time."""
         here = weights >= _LIKELY
