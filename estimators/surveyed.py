@@ -40,7 +40,7 @@ _SCALE = OdometryCalibration._fields.index("scale")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _State:
+class State:
     """poses (n, 3); common (GLOBALS,); distortions (s, 4) of the sensors; positions (m, 2)."""
 
     poses: FloatArray
@@ -79,7 +79,7 @@ class Survey:
     ) -> None:
         self._motions = Linearised(replace(chain, factors=()), config)
         self._seen, self._prior = seen, config.scan_distortion
-        self._state = _State(poses, common, np.array(distortions).reshape(-1, _DISTORTION), positions)
+        self._state = State(poses, common, np.array(distortions).reshape(-1, _DISTORTION), positions)
         self._trust = np.ones(len(seen.nodes))
         free, sigmas = self._motions.free, np.tile(self._prior.sigmas(), len(distortions))
         self._landmarks = int(free.sum()) + len(sigmas)
@@ -149,11 +149,11 @@ class Survey:
             self._add_sights(out, state, self._seen.take(those), self._trust[those])
         return out
 
-    def _moved(self, steps: FloatArray, border: FloatArray) -> _State:
+    def _moved(self, steps: FloatArray, border: FloatArray) -> State:
         state = self._state
         common, distortions = state.common.copy(), state.distortions
         common[self._motions.free] += border[: self._free]
-        return _State(
+        return State(
             se2.retract(state.poses, steps),
             common,
             distortions + border[self._free : self._landmarks].reshape(distortions.shape),
@@ -169,7 +169,7 @@ class Survey:
         misfit = squared_mahalanobis(error, whole)
         return np.asarray(np.minimum(1.0, (_TAIL + 2.0) / (_TAIL + misfit)))
 
-    def _as_said(self, rows: MotionRows, state: _State) -> MotionRows:
+    def _as_said(self, rows: MotionRows, state: State) -> MotionRows:
         """Motions' errors in the odometry's metres."""
         longer = 1.0 + float(state.common[_SCALE])
         roots = self._motions.motion_roots
@@ -182,7 +182,7 @@ class Survey:
         towards = (whole @ rows.towards[..., None])[..., 0]
         return MotionRows(whole @ rows.before, whole @ rows.after, by_globals, towards)
 
-    def _add_sights(self, out: Blocks, state: _State, seen: Sights, trust: FloatArray) -> None:
+    def _add_sights(self, out: Blocks, state: State, seen: Sights, trust: FloatArray) -> None:
         """Errors that all of a scan share are eliminated: scan by scan, of unit variance."""
         error, rows = self._errors(state, seen)
         root = np.sqrt(seen.wider)
@@ -206,7 +206,7 @@ class Survey:
         left, right = (each[:, 3:].swapaxes(0, 1).reshape(self._size + 1, -1) for each in (solved, across))
         out.corner[:] -= left @ right.T
 
-    def _errors(self, state: _State, seen: Sights) -> tuple[FloatArray, FloatArray]:
+    def _errors(self, state: State, seen: Sights) -> tuple[FloatArray, FloatArray]:
         """Of range and bearing, seen less expected (k, 2); change of the latter with pose and border (k, 2, q)."""
         turned, by_common = (each[seen.nodes] for each in self._motions.sights(state.common))
         at = se2.compose(se2.retract(state.poses[seen.nodes], turned), seen.mounts)

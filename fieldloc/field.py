@@ -96,13 +96,19 @@ class FieldMap:
             if len(set(ends) & high) != 2:
                 raise ValueError(f"the crossbar {ends!r} does not join two landmarks that have a height")
         spots = np.hstack([marks, np.full((len(marks), 1), -1.0)])  # no diameter: a mark turns onto a mark only
+        sigmas_m = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1:].ravel().clip(min=0.0))
         derived = {
             "lines": lines,
             "circles": circles,
             "marks": marks,
             "positions": positions,
             "positions_covariance": covariance,
-            "symmetries": symmetries(lines, circles, np.vstack([np.hstack([positions, diameters]), spots])),
+            "symmetries": symmetries(
+                lines,
+                circles,
+                np.vstack([np.hstack([positions, diameters]), spots]),
+                np.append(sigmas_m, np.zeros(len(spots))),
+            ),
         }
         for key, array in derived.items():
             array.flags.writeable = False  # shared by everyone who localizes on this map

@@ -7,20 +7,32 @@ from fieldloc.pose import FloatArray, apply, wrap
 TOLERANCE_M = 1e-3  # a map is drawn to the millimetre
 
 
-def symmetries(lines: FloatArray, circles: FloatArray, landmarks: FloatArray) -> FloatArray:
+_SIGMAS = 3.0  # by which landmarks may be apart that are each other's copies for all that is known
+
+
+def symmetries(
+    lines: FloatArray, circles: FloatArray, landmarks: FloatArray, sigmas_m: FloatArray | None = None
+) -> FloatArray:
     """Poses (s, 3) that map the map onto itself, without the identity; headings in (-pi, pi], a half turn is +pi.
 
     lines: (n, 2, 2) end points. circles: (k, 3) x, y, radius. landmarks: (m, 3) x, y, diameter; labels play no part.
     A bounded map can only turn about its middle, so each kind of thing must have its centroid there, and the outermost
     point must land on another one. A map of concentric circles alone turns by any angle: it gets none listed.
+
+    sigmas_m: (m,) how well landmarks are known, None for exactly. Where something else is exact, one that is not need
+    only be the copy of another for all that is known.
     """
     segments = merge_segments(lines)
-    kinds = [segments.mean(axis=1), circles[:, :2], landmarks[:, :2]]
+    sigmas_m = np.zeros(len(landmarks)) if sigmas_m is None else sigmas_m
+    exact = landmarks[sigmas_m < TOLERANCE_M]
+    if not len(segments) + len(circles) + len(exact):
+        exact, sigmas_m = landmarks, np.zeros(len(landmarks))
+    kinds = [segments.mean(axis=1), circles[:, :2], exact[:, :2]]
     centroids = np.array([points.mean(axis=0) for points in kinds if len(points)])
     if not len(centroids) or np.linalg.norm(centroids - centroids[0], axis=1).max() > TOLERANCE_M:
         return np.zeros((0, 3))
     middle = centroids[0]
-    points = np.concatenate([segments.reshape(-1, 2), circles[:, :2], landmarks[:, :2]]) - middle
+    points = np.concatenate([segments.reshape(-1, 2), circles[:, :2], exact[:, :2]]) - middle
     radius = np.linalg.norm(points, axis=1)
     outermost = int(np.argmax(radius))
     if radius[outermost] < TOLERANCE_M:
@@ -41,7 +53,7 @@ def symmetries(lines: FloatArray, circles: FloatArray, landmarks: FloatArray) ->
         if (
             _same_rows(_either_way(segments), apply(pose, segments).reshape(-1, 4))
             and _same_rows(circles, turned_circles)
-            and _same_rows(landmarks, turned_landmarks)
+            and _same_landmarks(landmarks, turned_landmarks, _SIGMAS * sigmas_m)
         ):
             found.append(pose)
     return np.array(found).reshape(-1, 3)
@@ -93,3 +105,10 @@ def _same_rows(rows: FloatArray, others: FloatArray) -> bool:
     if not len(others):
         return True
     return bool((np.abs(others[:, None] - rows).max(axis=-1).min(axis=1) < TOLERANCE_M).all())
+
+
+def _same_landmarks(landmarks: FloatArray, turned: FloatArray, slack_m: FloatArray) -> bool:
+    """Whether each that is turned is one of the landmarks; slack_m: (m,) by how much each may be beside its place."""
+    apart = np.abs(turned[:, None] - landmarks)
+    near = apart[..., :2].max(axis=-1) < TOLERANCE_M + np.hypot(slack_m[:, None], slack_m)
+    return bool((near & (apart[..., 2] < TOLERANCE_M)).any(axis=1).all())

@@ -5,20 +5,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from program import Call
 
-from benchmarks.drawn_robots import DrawnRobot, drive
+from benchmarks.drawn_robots import DrawnRobot, drawn_robot, drive
 from estimators.config import Config, Graph
 from estimators.fused import fused
-from estimators.motion import CALIBRATION, PARTS
-from estimators.surveyed import EXACT_M, survey_covariance
+from estimators.motion import CALIBRATION, PARTS, OdometryCalibration
+from estimators.smoother import Smoother
+from estimators.surveyed import EXACT_M, State, Survey, survey_covariance
 from estimators.surveyed_map import SurveyedMap, surveyed_map, with_survey_sigma
+from fieldloc.covariance import central_difference
 from fieldloc.errors import FieldlocError
 from fieldloc.field import FieldMap, load_field
 from fieldloc.measurements import LandmarkScan
 from fieldloc.pose import FloatArray
 from logs.calibrating import calibrate_recordings
-from logs.replay import Recording
-from logs.surveying import landmark_table, on_one_map, write_map
+from logs.replay import Recording, replay
+from logs.samples import sample_path
+from logs.surveying import landmark_table, on_one_map, survey, write_map
 
 CONFIG = Config(graph=Graph(engine="chain"))
 ROBOT = DrawnRobot(np.zeros(CALIBRATION), np.zeros(4), 0.0, np.full(PARTS, 0.5), np.full(2, 0.2), np.full(2, 0.1))
@@ -190,3 +194,83 @@ def test_logs_that_contradict_each_other_are_believed_less() -> None:
     assert apart.disagreement > 3.0
     assert (np.diag(apart.covariance) > 2.0 * np.diag(agreed.covariance)).all()
     assert (np.diag(apart.covariance) < 1.0).all()  # never less than what was known before
+
+
+def test_a_soccer_field_whose_posts_were_surveyed_looks_the_same_from_both_sides() -> None:
+    field = load_field("kidsize")
+    off = 0.02 * np.random.default_rng(3).standard_normal((4, 2))
+    surveyed = moved(with_survey_sigma(field, 0.02), off)
+    np.testing.assert_array_equal(surveyed.symmetries, field.symmetries)
+    assert len(moved(field, off).symmetries) == 0  # as exact they are four different posts
+    assert len(moved(with_survey_sigma(field, 0.001), 5.0 * off).symmetries) == 0
+
+
+@pytest.fixture(scope="module")
+def asked() -> Survey:
+    """Of a robot that is not perfect, at a state that is not the answer."""
+    random = np.random.default_rng(2)
+    log = drive(drawn_robot(CONFIG, random), CONFIG, 6.0, random)
+    smoother = Smoother(CONFIG)
+    done = replay(log.recording, smoother, None, CONFIG)
+    assert smoother.chain is not None
+    assert smoother.solution is not None
+    out = survey(log.recording, smoother.chain, smoother.solution, done.sensors, log.recording.field, CONFIG)
+    assert out is not None
+    out._state = out._moved(0.02 * random.standard_normal((len(out._state.poses), 3)), 0.02 * np.ones(out._size))
+    return out
+
+
+def towards(asked: Survey, state: State) -> tuple[FloatArray, FloatArray]:
+    """Errors of motions and of sights."""
+    motions = asked._as_said(asked._motions.motions(state.poses, state.common), state)
+    return motions.towards.ravel(), asked._errors(state, asked._seen)[0].ravel()
+
+
+def test_errors_change_as_their_jacobians_say(asked: Survey) -> None:
+    poses = np.zeros((len(asked._state.poses), 3))
+
+    def by_border(step: FloatArray) -> FloatArray:
+        return np.concatenate(towards(asked, asked._moved(poses, step)))
+
+    def by_pose(step: FloatArray) -> FloatArray:
+        return np.concatenate(towards(asked, asked._moved(np.tile(step, (len(poses), 1)), np.zeros(asked._size))))
+
+    state = asked._state
+    motions = asked._as_said(asked._motions.motions(state.poses, state.common), state)
+    _, sights = asked._errors(state, asked._seen)
+    numeric = -central_difference(by_border, np.zeros(asked._size))
+    of_motions = np.zeros((motions.by_globals.shape[0] * 3, asked._size))
+    of_motions[:, : asked._free] = motions.by_globals.reshape(-1, asked._free)
+    exact = np.concatenate([of_motions, sights[..., 3:].reshape(-1, asked._size)])
+    np.testing.assert_allclose(numeric, exact, atol=1e-6 * np.abs(exact).max())
+    numeric = -central_difference(by_pose, np.zeros(3))
+    exact = np.concatenate([(motions.before + motions.after).reshape(-1, 3), sights[..., :3].reshape(-1, 3)])
+    np.testing.assert_allclose(numeric, exact, atol=1e-6 * np.abs(motions.before).max())
+
+
+def test_a_world_that_is_larger_as_a_whole_fits_as_well(asked: Survey) -> None:
+    state, larger = asked._state, 1.01
+    common = state.common.copy()
+    common[0] = larger * (1.0 + common[0]) - 1.0
+    by_way = [OdometryCalibration._fields.index(name) for name in ("drift_mps", "turn_slowing_s", "crab_rad")]
+    common[by_way] *= larger
+    common[OdometryCalibration._fields.index("veer_rad_per_m")] /= larger
+    common[CALIBRATION : CALIBRATION + 2] *= larger
+    distortions = state.distortions - [np.log(larger), 0.0, 0.0, 0.0]
+    scaled = State(state.poses * [larger, larger, 1.0], common, distortions, larger * state.positions)
+    for here, there in zip(towards(asked, state), towards(asked, scaled), strict=True):
+        # crab and veer are not quite a matter of scale; an error that grew with the world would be off by 1e-2
+        np.testing.assert_allclose(np.sum(there**2), np.sum(here**2), rtol=1e-3)
+
+
+def test_the_program_surveys_the_sample_and_its_map_is_taken(call: Call, tmp_path: Path) -> None:
+    log, out = sample_path("woods"), tmp_path / "map.toml"
+    said = call("calibrate", log, "--to", 12, "--set", "graph.engine=chain", "--landmarks", "--field-output", out)
+    assert said.code == 0, said.err
+    assert "log-likelihood" in said.out
+    assert "for --field" in said.out
+    assert np.abs(load_field(str(out)).positions).max() < 20.0
+    for typed, named in ((("--field-output", out), "--landmarks"), (("--landmark-sigma-m", "0.1"), "--landmarks")):
+        refused = call("calibrate", log, *typed)
+        assert (refused.code, refused.err.count("\n")) == (1, 1)
+        assert named in refused.err
