@@ -31,8 +31,10 @@ class ScanDistortion(NamedTuple):
         """(n, 2) as a perfect sensor would have it."""
         if not any(self):
             return range_bearing
-        b = range_bearing[:, 1] / (1.0 + self.bearing_scale)
-        return np.stack([range_bearing[:, 0] * np.exp(-self._longer(b)), b], axis=-1)
+        out = range_bearing.copy()
+        out[:, 1] /= 1.0 + self.bearing_scale
+        out[:, 0] *= np.exp(-self._longer(out[:, 1]))
+        return out
 
     def added(self, range_bearing: FloatArray) -> FloatArray:
         """(n, 2) as this sensor has what a perfect one has so: the inverse."""

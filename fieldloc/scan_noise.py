@@ -32,7 +32,7 @@ class ScanNoise:
         own = covariance * np.array([[self.own_range, both], [both, self.own_bearing]])
         if self.shared_range <= 0.0 and self.shared_bearing <= 0.0:
             return own, None
-        return own, np.sqrt(shared_directions(covariance) ** 2 * [self.shared_range, self.shared_bearing])
+        return own, np.sqrt(_variances(covariance) * np.array([self.shared_range, self.shared_bearing]))
 
 
 AS_STATED = ScanNoise()
@@ -59,7 +59,12 @@ UNLEARNED = NoisePrior(shared=0.0, own_log_sigma=0.0, shared_log_sigma=0.0)
 
 def shared_directions(covariance: FloatArray) -> FloatArray:
     """(n, 2) standard deviations in range and bearing that a shared error has if it is as large as the stated ones."""
+    return np.sqrt(_variances(covariance))
+
+
+def _variances(covariance: FloatArray) -> FloatArray:
+    """(n, 2) of a shared error that is as large as the stated ones: all bearings turn alike."""
     out = np.empty((len(covariance), 2))
     out[:, 0] = covariance[:, 0, 0]
     out[:, 1] = covariance[:, 1, 1].sum() / max(len(covariance), 1)
-    return np.sqrt(out)
+    return out

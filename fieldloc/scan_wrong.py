@@ -1,5 +1,6 @@
 """How often what is in a scan is not what it seems to be, and where: as the scans of a log themselves show."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,10 +34,12 @@ class Sector:
 
     def log_density(self, range_bearing: FloatArray, log_anywhere: float) -> FloatArray:
         """(n,) of things that are none of the map's: alike inside, and outside as rare as they are anywhere."""
-        r, bearing = range_bearing[:, 0], wrap(range_bearing[:, 1] - self.middle_rad)
-        inside = (r >= self.low[0]) & (r <= self.high[0]) & (bearing >= self.low[1]) & (bearing <= self.high[1])
-        size = np.maximum(self.high - self.low, _LEAST).prod()
-        return np.asarray(np.log(self.beyond * np.exp(log_anywhere) + inside * (1.0 - self.beyond) / size))
+        seen = range_bearing.copy()
+        seen[:, 1] = wrap(seen[:, 1] - self.middle_rad)
+        inside = ((seen >= self.low) & (seen <= self.high)).all(axis=1)
+        far, wide = (max(width, _LEAST) for width in (self.high - self.low).tolist())
+        rare = self.beyond * math.exp(log_anywhere)
+        return np.where(inside, math.log(rare + (1.0 - self.beyond) / (far * wide)), math.log(rare))
 
 
 class WrongShare:
