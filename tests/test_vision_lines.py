@@ -163,6 +163,17 @@ def test_a_line_is_one_however_high_the_fields_border_seems(rng):
     assert np.linalg.norm(line.ends_px[1] - line.ends_px[0]) > 280.0
 
 
+def test_a_net_before_the_turf_is_no_line_but_what_is_seen_beside_it_is(rng):
+    light = with_stripe(turf(rng), np.array([-20.0, 440.0]), np.array([660.0, 400.0]), (13.0, 12.0))
+    for step in range(7):
+        light = with_stripe(
+            light, np.array([300.0 + 35.0 * step, 120.0]), np.array([290.0 + 38.0 * step, 340.0]), (3, 3)
+        )
+        light = with_stripe(light, np.array([280.0, 130.0 + 30 * step]), np.array([540.0, 110.0 + 33 * step]), (3, 3))
+    (line,) = detect(exposed(light, rng)).lines
+    assert np.linalg.norm(line.ends_px[1] - line.ends_px[0]) > 500.0
+
+
 def test_a_circle_is_a_circle_and_no_line(rng, monkeypatch):
     monkeypatch.setattr(rim, "middle_shift", lambda pixels, *_: np.zeros((2, len(pixels))))  # it lies not on the ground
     centre = np.array([330.0, 280.0])

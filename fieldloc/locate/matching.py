@@ -61,6 +61,12 @@ class Matches:
         posts, gains = np.where(rows[:, None], -1, self.posts), np.where(rows[:, None], 0.0, self.post_gains)
         return replace(self, posts=posts, post_gains=gains)
 
+    def without_lines(self, rows: IntArray, which: IntArray) -> "Matches":
+        """In rows (n,) the line of that number (n,) is not matched."""
+        lines, gains = self.lines.copy(), self.line_gains.copy()
+        lines[rows, which], gains[rows, which] = -1, 0.0
+        return replace(self, lines=lines, line_gains=gains)
+
     def and_also(self, other: "Matches") -> "Matches":
         return Matches(
             np.concatenate([self.lines, other.lines]),

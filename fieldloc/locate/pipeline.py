@@ -7,6 +7,7 @@ import numpy as np
 from fieldloc import pose as se2
 from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
+from fieldloc.lens import Mask
 from fieldloc.locate.attitude import attitudes
 from fieldloc.locate.candidates import candidates
 from fieldloc.locate.hypotheses import Hypothesis, Located
@@ -21,10 +22,13 @@ from fieldloc.locate.task import Task
 from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import Detections
 
-_STAGES = ((10.0, 35.0, 3), (2.0, 30.0, 2), (0.0, 20.0, 1))
+_STAGES = ((10.0, 35.0, 3), (2.0, 30.0, 3), (0.0, 20.0, 1))
 """By how much states may be off, px; so much worse than the best is hopeless; how often they are fitted."""
 _SHARPER = 0.25
-_DOUBTED, _DOUBTING = 4, 1  # states are fitted without their posts, too, from that stage on
+_DOUBTING = (
+    1  # from that stage on so many of the states are fitted without their posts, and without one line each, too:
+)
+_POSTS_DOUBTED, _LINES_DOUBTED, _FEW_LINES = 4, 12, 2
 _NEGLIGIBLE = 1e-4
 _HOPELESS = 0.01  # all poses together: specks line up by chance somewhere
 
@@ -61,16 +65,26 @@ def _refined(task: Task, states: FloatArray) -> tuple[FloatArray, Matches]:
         rows = task.best(states, scores, task.settings.candidates, margin, doubted)
         doubted, states, matches = doubted[rows], states[rows], matches.take(rows)
         if stage == _DOUBTING:
-            # what stands beside the field and looks like a post keeps a fit from where all else would have it
-            again = np.flatnonzero((matches.posts[:_DOUBTED] >= 0).any(axis=1))
-            rows = np.concatenate([np.arange(len(states)), again])
-            doubted = np.arange(len(rows)) >= len(states)
-            states, matches = states[rows], matches.take(rows).without_posts(doubted)
+            states, matches, doubted = _with_doubts(states, matches)
         # who is who is seen with tolerance, but where that is weighs against the prior as it will in the end
         sharp = task.noise(_SHARPER * widen_px)
         for _ in range(times):
             states = stepped(states, linearise(task.cameras(states), sharp, matches, task.prior))
     return states, matches
+
+
+def _with_doubts(states: FloatArray, matches: Matches) -> tuple[FloatArray, Matches, Mask]:
+    """The states, and the best of them once more without posts or without one of their lines: what stands beside the
+    field and looks like a post, and a line taken for its neighbour, keep a fit from where all else would have it. And
+    which of them are without posts."""
+    posts = np.flatnonzero((matches.posts[:_POSTS_DOUBTED] >= 0).any(axis=1))
+    used = matches.lines[:_LINES_DOUBTED] >= 0
+    lines, which = np.nonzero(used & (used.sum(axis=1, keepdims=True) > _FEW_LINES))
+    rows = np.concatenate([np.arange(len(states)), posts, lines])
+    doubted = np.zeros(len(rows), dtype=np.bool_)
+    doubted[len(states) : len(states) + len(posts)] = True
+    again = matches.take(rows).without_posts(doubted)
+    return states[rows], again.without_lines(np.arange(len(rows) - len(lines), len(rows)), which), doubted
 
 
 def _log_false(task: Task) -> float:

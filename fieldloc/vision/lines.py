@@ -28,7 +28,12 @@ _LEAST_SMOOTH, _SMOOTH_PX = 0.3, 0.3  # of a line whose middles are hardly rough
 _LEAST_SEEN = 0.25  # of all between
 _OUTLIER = 3.5  # robust standard deviations from the line
 _LEAST_TYPICAL_PX = np.array([[0.05], [0.1]])  # of middles and of widths
-_FLOOR_PX = 0.02  # of a middle: what pixels, their interpolation and JPEG err by, however long the line
+_FLOOR_PX, _FLOOR_SHARE = (
+    0.01,
+    0.0015,
+)  # of an end, and of the width: what pixels, their interpolation, JPEG and wear err
+# by, however long the line
+_ENDS_PX2 = 2.0  # and by its length: what a line ends at moves its last middles, which count the more the shorter it is
 _ROUGHEST_PX = 1.0  # standard deviation of the middles about the line, or a share of the width
 _ROUGHEST_SHARE = 0.12
 _BENT_SIGMAS, _LEAST_BENT_PX = 5.0, 0.25  # a line's sagitta is less than so many standard deviations, or than this:
@@ -245,7 +250,9 @@ def _seen(ends: FloatArray, found: Middles, plane: Plane, turf: Turf, height: in
     widths = np.maximum(width_at, 0.0) * zoom
     shift, unsure = middle_shift(pixels, normals, widths, turf, height)
     pixels = pixels + shift[..., None] * normals
-    covariance = covariance * zoom[:, :, None] * zoom[:, None, :] + _FLOOR_PX**2 * np.eye(2)
+    covariance = covariance * zoom[:, :, None] * zoom[:, None, :]
+    floor = _FLOOR_PX**2 + (_FLOOR_SHARE * widths) ** 2 + (_ENDS_PX2 / np.maximum(at[:, 1:] - at[:, :1], 1.0)) ** 2
+    covariance += floor[:, :, None] * np.eye(2)
     covariance += unsure[:, :, None] * unsure[:, None, :]
     # Along it nothing is known of an end; what stands there, as much as across it, only keeps the matrix positive.
     tangents = np.stack([-normals[..., 1], normals[..., 0]], axis=-1)

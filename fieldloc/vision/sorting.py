@@ -23,6 +23,9 @@ _LIMB_WIDTHS = 8.0  # what is shorter and ends at something that is no turf is a
 _LOWEST_PX = 8.0  # of the horizon above the field's border, surely
 _LOWEST_WIDTHS = 8.0  # of a line: so far below the horizon is one of 5 cm before a camera 40 cm high
 _TAPER = 0.25  # of the logarithm of a width, beyond perspective and three standard deviations
+_KNOTS = 3  # crossings of one cord of a net with others
+_CROSSED_PX, _CROSSED = 5.0, 0.2  # beside a width, beyond a crossing; sine of the angle there
+_CORDS = 0.5  # difference of the logarithms of two cords' widths
 _ALONG = np.linspace(0.05, 0.95, 9)[:, None]  # shares of a piece's length at which it is looked at
 _BEYOND = np.linspace(0.1, 1.0, 8)  # shares of the way looked at beyond a line's end
 _STEEP = 0.6  # of a unit along a line, down the picture: what is flatter is not upright
@@ -47,7 +50,8 @@ def sort_out(
     upright |= _on_posts(ends, posts)
     sigma = np.stack([line.width_sigma_px for line in lines])
     good = (
-        ~_covered(ends, width)
+        ~_in_net(ends, width)
+        & ~_covered(ends, width)
         & ~_on_circle(ends, width, circle)
         & ~upright
         & _tapers_as_turf(ends, width, sigma, turf, grey.shape[0])
@@ -85,6 +89,28 @@ def _on_posts(ends: FloatArray, posts: tuple[SeenPost, ...]) -> Mask:
         there &= (ends[..., 1] > left[0, 1] - aside) & (ends[..., 1] < left[1, 1] + 2.0 * aside)
         on |= there.all(axis=1)
     return on
+
+
+def _in_net(ends: FloatArray, width: FloatArray) -> Mask:
+    """(n,) which pieces cross several others about as wide as they are, as cords of a net do: a field's lines end where
+    they meet, and those behind a net are wider than its cords or as thin by chance."""
+    along = ends[:, 1] - ends[:, 0]
+    length = np.hypot(along[:, 0], along[:, 1])
+    turned = along[:, None, 0] * along[:, 1] - along[:, None, 1] * along[:, 0]
+    relative = ends[None, :, 0] - ends[:, None, 0]
+    turning = np.where(turned == 0.0, 1.0, turned)
+    place = (relative[..., 0] * along[:, 1] - relative[..., 1] * along[:, 0]) / turning * length[:, None]
+    wide = width.mean(axis=1)
+    beyond = (_CROSSED_PX + wide)[:, None]
+    alike = np.abs(np.log(wide[:, None] / wide)) < _CORDS
+    alike &= np.abs(turned) > _CROSSED * length[:, None] * length
+    inside = (place > beyond) & (place < length[:, None] - beyond)
+    cords = np.asarray(np.count_nonzero(inside & inside.T & alike, axis=1) >= _KNOTS)
+    if not cords.any():
+        return cords
+    # a net's own border, too, at which its cords end
+    touched = (place > -beyond) & (place < length[:, None] + beyond)
+    return np.asarray(cords | (np.count_nonzero((touched & touched.T & alike)[:, cords], axis=1) >= _KNOTS - 1))
 
 
 def _covered(ends: FloatArray, width: FloatArray) -> Mask:

@@ -18,8 +18,8 @@ from fieldloc.vision.straight import Plane
 from fieldloc.vision.stripes import middle_shift
 from fieldloc.vision.turf import Turf
 
-_FIRST_PX, _ROWS = 2.5, 36  # rows beside a line's edge, a pixel apart: the first, how many
-_FEWEST = 4  # rows of a stub
+_FIRST_PX, _ROWS = 2.0, 36  # rows beside a line's edge, a pixel apart: the first, how many
+_FEWEST = 3  # rows of a stub
 _NEAR_PX = 40.0  # from the picture's border do stubs begin: what is longer is found as a line
 _BEYOND_WIDTHS, _BEYOND_PX = 3.0, 12.0  # beyond a line's end, too: it may end where a stub begins
 _LEAST_PX = 30.0  # of a line that stubs are looked for at
