@@ -13,7 +13,7 @@ does not change from image to image.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,7 +37,7 @@ _SIZE = len(PARTS)
 _GATE = 13.8  # chi-square of two numbers, once in a thousand
 _CLEARER = 9.0  # by how much the next best thing on the map must fit worse
 _TAIL = 4.0  # degrees of freedom of a Student t: what fits badly counts less
-_DOUBT = 4.0  # images' poses come from these very images: they are known worse than they claim
+_DOUBT = 9.0  # of variances: images' poses come from these very images, and lean the way that the camera is off
 _PRIOR_IMAGES = 4.0  # how many images the prior of the wobble is worth
 
 
@@ -81,20 +81,24 @@ def fit_mount(
     news, sigmas = _news(images, correlation_s), np.maximum(sigmas, _EXACT)
     error, wobble = np.zeros(_SIZE), 0.5 * sigmas * _WOBBLES
     covariance, used = np.diag(sigmas**2), 0
-    for _ in range(_ROUNDS):
-        so_far, spread = MountCorrection(*error.tolist()), covariance + np.diag(wobble**2)
-        seeing = so_far.camera(camera)
-        seen = [
-            (_rows(_View(image, so_far.applied(image.mount), spread, pose, known, seeing, field)), known, share)
-            for image, pose, known, share in zip(images, poses, _DOUBT * covariances, news, strict=True)
-        ]
-        told = [(rows, known, share) for rows, known, share in seen if len(rows.residual)]
+    # of each image; it is looked at where it was: over its own error and pose, nothing is straight enough
+    off, moved = np.zeros((len(images), _SIZE)), np.zeros((len(images), 3))
+    for count in range(_ROUNDS):
+        spread = covariance + np.diag(wobble**2)
+        told = []
+        for i, (image, known) in enumerate(zip(images, _DOUBT * covariances, strict=True)):
+            so_far = MountCorrection(*(error + off[i]).tolist())
+            pose, mount = se2.retract(poses[i], moved[i]), so_far.applied(image.mount)
+            rows = _rows(_View(image, mount, spread, pose, known, so_far.camera(camera), field))
+            if len(rows.residual):
+                back = rows.by_mount @ off[i] + rows.by_pose @ moved[i]
+                told.append((replace(rows, residual=rows.residual + back), known, float(news[i]), i))
         used = len(told)
         if not used:
             break
         before = error
-        error, covariance, wobble = _estimated(told, error, sigmas, wobble)
-        if (np.abs(error - before) < _SETTLED * np.sqrt(np.diagonal(covariance))).all():
+        error, covariance, wobble = _estimated(told, error, sigmas, wobble, off, moved)
+        if count and (np.abs(error - before) < _SETTLED * np.sqrt(np.diagonal(covariance))).all():
             break
     return MountFit(error, covariance, wobble, sigmas, used)
 
@@ -108,13 +112,19 @@ def _news(images: Sequence[ImageFeatures], correlation_s: float) -> FloatArray:
 
 
 def _estimated(
-    told: list[tuple[_Rows, FloatArray, float]], at: FloatArray, sigmas: FloatArray, wobble: FloatArray
+    told: list[tuple[_Rows, FloatArray, float, int]],
+    at: FloatArray,
+    sigmas: FloatArray,
+    wobble: FloatArray,
+    off: FloatArray,
+    moved: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The constant, its covariance and the wobble after one round; `at`: the constant that the rows are about."""
+    """The constant, its covariance and the wobble after one round; `at`: the constant that the rows are about. What is
+    found of each image's own error and pose is written to its row of `off` and `moved`."""
     information: FloatArray = np.diag(1.0 / sigmas**2)
     vector: FloatArray = -at / sigmas**2
     whitened = []
-    for rows, known, share in told:
+    for rows, known, share, i in told:
         spread = np.eye(len(rows.residual)) + rows.by_pose @ known @ rows.by_pose.T
         whole = spread + (rows.by_mount * wobble**2) @ rows.by_mount.T
         misfit = rows.residual @ np.linalg.solve(whole, rows.residual)
@@ -122,16 +132,16 @@ def _estimated(
         solved = np.linalg.solve(whole, np.column_stack([rows.by_mount, rows.residual]))
         information = information + weight * (rows.by_mount.T @ solved[:, :_SIZE])
         vector = vector + weight * (rows.by_mount.T @ solved[:, _SIZE])
-        whitened.append((rows, solved, weight))
+        whitened.append((rows, solved, weight, known, i))
     covariance = np.linalg.inv(information)
     step = covariance @ vector
     squares = _PRIOR_IMAGES * (0.5 * sigmas * _WOBBLES) ** 2
     count = float(_PRIOR_IMAGES)
-    for rows, solved, weight in whitened:
-        gain = wobble[:, None] ** 2 * rows.by_mount.T
-        mean = gain @ (solved[:, _SIZE] - solved[:, :_SIZE] @ step)
+    for rows, solved, weight, known, i in whitened:
+        gain, left_over = wobble[:, None] ** 2 * rows.by_mount.T, solved[:, _SIZE] - solved[:, :_SIZE] @ step
+        off[i], moved[i] = gain @ left_over, known @ (rows.by_pose.T @ left_over)
         left = wobble**2 - np.einsum("ik,ki->i", gain, solved[:, :_SIZE]) * wobble**2
-        squares = squares + weight * (mean**2 + left)
+        squares = squares + weight * (off[i] ** 2 + left)
         count += weight
     return at + step, np.asarray(covariance), np.asarray(np.sqrt(squares / count))
 
