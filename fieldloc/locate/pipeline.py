@@ -22,7 +22,7 @@ from fieldloc.locate.task import Task
 from fieldloc.pose import FloatArray
 from fieldloc.vision.detections import Detections
 
-_STAGES = ((10.0, 35.0, 3), (2.0, 30.0, 3), (0.0, 20.0, 1))
+_STAGES = ((10.0, 35.0, 2), (2.0, 30.0, 3), (0.0, 20.0, 1))
 """By how much states may be off, px; so much worse than the best is hopeless; how often they are fitted."""
 _SHARPER = 0.25
 _DOUBTING = (

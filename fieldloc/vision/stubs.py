@@ -20,6 +20,7 @@ from fieldloc.vision.turf import Turf
 
 _FIRST_PX, _ROWS = 2.0, 36  # rows beside a line's edge, a pixel apart: the first, how many
 _FEWEST = 3  # rows of a stub
+_AT_ONCE = 6  # rows
 _NEAR_PX = 40.0  # from the picture's border do stubs begin: what is longer is found as a line
 _BEYOND_WIDTHS, _BEYOND_PX = 3.0, 12.0  # beyond a line's end, too: it may end where a stub begins
 _LEAST_PX = 30.0  # of a line that stubs are looked for at
@@ -106,20 +107,28 @@ def _white_beside(
     leaves, comes = leaves + wide, comes - wide
     far = leaves >= comes  # all of it is near the border
     leaves, comes = np.where(far, high, leaves), np.where(far, high, comes)
+    begin, end = np.stack([low, np.maximum(low, comes)]), np.stack([np.minimum(high, leaves), high])
+    part, row, which = np.nonzero((end - begin > _FEWEST) & good[:, None])
+    if not len(row):
+        return []
+    begin = begin[part, row, which]
+    counts = (end[part, row, which] - begin).astype(np.intp) + 1
+    starts = np.cumsum(counts) - counts
+    place = np.arange(counts.sum()) - np.repeat(starts - begin, counts)
+    points = np.repeat(first[row, which], counts, axis=0) + place[:, None] * np.repeat(edge[row, which], counts, axis=0)
+    bar = 0.5 * (white + dark)
+    above = _values(grey, points) > np.repeat(bar[row], counts)
+    above[starts] = above[starts + counts - 1] = False  # what goes on beyond has its edge elsewhere
+    change = np.flatnonzero(above[1:] != above[:-1]) + 1
     found = []
-    for begin, end in ((low, np.minimum(high, leaves)), (np.maximum(low, comes), high)):
-        for row, which in np.argwhere((end - begin > _FEWEST) & good[:, None]).tolist():
-            bar = 0.5 * float(white[row] + dark[row])
-            side = _Side(row, origin[row, which], edge[row, which], out[row, which], bar, float(white[row]))
-            place = np.arange(begin[row, which], end[row, which])
-            above = _values(grey, side.points(place, np.array(_FIRST_PX))) > bar
-            change = np.flatnonzero(above[1:] != above[:-1]) + 1
-            if len(change) > 1:
-                change = change[int(above[0]) :]
-                least, most = (share * float(width[row].mean()) for share in _WIDTHS)
-                for one, other in change[: len(change) // 2 * 2].reshape(-1, 2).tolist():
-                    if least < other - one < most:
-                        found.append((side, float(place[one]), float(place[other])))
+    for one, other in change.reshape(-1, 2).tolist():
+        now = int(np.searchsorted(starts, one, side="right")) - 1
+        line, beside = int(row[now]), int(which[now])
+        if _WIDTHS[0] < (other - one) / float(width[line].mean()) < _WIDTHS[1]:
+            side = _Side(
+                line, origin[line, beside], edge[line, beside], out[line, beside], float(bar[line]), float(white[line])
+            )
+            found.append((side, float(place[one]), float(place[other])))
     return found
 
 
@@ -132,34 +141,35 @@ def _within(start: FloatArray, along: FloatArray, low: FloatArray, high: FloatAr
 
 def _tracked(grey: UInt8Array, side: _Side, start: float, stop: float) -> FloatArray | None:
     """(m, 2) both edges, as places along the line, in the rows from the first one out to the picture's border."""
-    reach = _LEAN * _ROWS
-    place = np.arange(start - reach, stop + reach)
-    points = side.points(place[None], _AWAY[:, None])
-    inside = np.asarray(((points >= 0.0) & (points <= np.array(grey.shape[::-1]) - 1.0)).all(axis=2))
-    u, v = points.astype(np.float32).transpose(2, 0, 1)
-    values = np.asarray(cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float64)
-    above = values > side.bar
-    begin, end, last = reach, len(place) - reach, len(place)
     edges: list[tuple[float, float]] = []
-    for now in range(_ROWS):
-        inner = np.flatnonzero(above[now, begin:end])
-        if not len(inner):
-            return None  # it ends on turf
-        low, high = max(begin - _LEAN, 0), min(end + _LEAN, last)
-        begin, end = begin + int(inner[0]), begin + int(inner[-1]) + 1
-        while begin > low and above[now, begin - 1]:
-            begin -= 1
-        while end < high and above[now, end]:
-            end += 1
-        seen = slice(max(begin - _SEEN_PX, 0), end + _SEEN_PX)
-        if not inside[now, seen].all():
-            return np.array(edges) if len(edges) >= _FEWEST else None
-        before, after = values[now, max(begin - 1, 0)], values[now, min(end, last - 1)]
-        if before > side.bar or after > side.bar:
-            return None
-        first = begin - (values[now, begin] - side.bar) / (values[now, begin] - before)
-        final = end - 1 + (values[now, end - 1] - side.bar) / (values[now, end - 1] - after)
-        edges.append((place[0] + first, place[0] + final))
+    reach = _LEAN * _AT_ONCE + _SEEN_PX
+    for first in range(0, _ROWS, _AT_ONCE):  # most of what is white beside a line is soon seen to be something else
+        place = np.arange(start - reach, stop + reach)
+        points = side.points(place[None], _AWAY[first : first + _AT_ONCE, None])
+        inside = np.asarray(((points >= 0.0) & (points <= np.array(grey.shape[::-1]) - 1.0)).all(axis=2))
+        u, v = points.astype(np.float32).transpose(2, 0, 1)
+        values = np.asarray(cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float64)
+        above = values > side.bar
+        begin, end = reach, len(place) - reach
+        for now in range(_AT_ONCE):
+            inner = np.flatnonzero(above[now, begin:end])
+            if not len(inner):
+                return None  # it ends on turf
+            low, high = begin - _LEAN, end + _LEAN
+            begin, end = begin + int(inner[0]), begin + int(inner[-1]) + 1
+            while begin > low and above[now, begin - 1]:
+                begin -= 1
+            while end < high and above[now, end]:
+                end += 1
+            if not inside[now, begin - _SEEN_PX : end + _SEEN_PX].all():
+                return np.array(edges) if len(edges) >= _FEWEST else None
+            before, after = values[now, begin - 1], values[now, end]
+            if before > side.bar or after > side.bar:
+                return None
+            share = (values[now, begin] - side.bar) / (values[now, begin] - before)
+            beyond = (values[now, end - 1] - side.bar) / (values[now, end - 1] - after)
+            edges.append((place[begin] - share, place[end - 1] + beyond))
+        start, stop = float(place[begin]), float(place[end])
     return None  # it is no stub
 
 
