@@ -135,6 +135,15 @@ class Guessing(Protocol):
 
 
 @runtime_checkable
+class Settled(Protocol):
+    """An estimator that is at times of several minds."""
+
+    @property
+    def settled(self) -> bool:
+        """Whether one place, its copies under the map's symmetries included, holds 99 % of all that may be now."""
+
+
+@runtime_checkable
 class Ambiguous(Protocol):
     """An estimator that says how sure it is of what it cannot tell apart."""
 

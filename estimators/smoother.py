@@ -124,6 +124,11 @@ class Smoother:
         return self.resolution.ambiguities(self._stamps_ns)
 
     @property
+    def settled(self) -> bool:
+        """Whether the filter ahead is sure of the place."""
+        return self._bank is None or self._bank.settled
+
+    @property
     def legs(self) -> Legs:
         """What the way ahead has taught of the odometry's noise."""
         return self._filter.legs

@@ -16,6 +16,7 @@ from fieldloc.magnitudes import check_magnitudes
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan
 from fieldloc.mixture import MixtureFactor
 from fieldloc.mount_correction import MountCorrection
+from fieldloc.mount_learning import LearnedMount
 from fieldloc.pose import FloatArray
 from fieldloc.regions import anywhere
 from fieldloc.repeated_mixture import RepeatedMixture
@@ -55,6 +56,8 @@ class MixtureBuilder:
         self._correlation = correlation
         self._detection = detection
         self._mount = mount
+        self._learned_mount = None if self._camera is None else LearnedMount(self._camera, field, correlation.image_s)
+        self._image_now: ImageFeatures | None = None
         self._area_m2 = float(np.exp(anywhere(field).log_volume)) / (2 * np.pi)
         self._repetition = Repetition()
         self._noises = ScanNoises(noise, distortion, correlation)
@@ -101,8 +104,11 @@ class MixtureBuilder:
                 pose, covariance = measurement.pose, measurement.covariance
                 return told_mixture(stamp_ns, pose, covariance, self._detection.nothing_right, anywhere(self._field))
 
-    def remember(self, mixture: MixtureFactor, pose: FloatArray | None) -> None:
-        """What was seen, by where the robot (3,) is thought to be now: seen again soon, it is little news."""
+    def remember(self, mixture: MixtureFactor, pose: FloatArray | None, covariance: FloatArray | None = None) -> None:
+        """What was seen, by where the robot (3,) is thought to be now: seen again soon, it is little news.
+
+        covariance: (3, 3) of that, robot frame, if the robot is surely there: then the camera's mount is learned from.
+        """
         if pose is not None and not np.isfinite(pose).all():
             pose = None
         match mixture:
@@ -118,6 +124,9 @@ class MixtureBuilder:
                     self._repetition.see(_COMPASS, mixture.stamp_ns)
             case _:
                 self._repetition.see(_ANY_IMAGE, mixture.stamp_ns)
+                image, learned = self._image_now, self._learned_mount
+                if learned is not None and image is not None and pose is not None and covariance is not None:
+                    learned.learn(image, pose, covariance)
 
     def relearned(self, mixture: MixtureFactor) -> MixtureFactor:
         """One that was built here, with what has been learned of its sensor since."""
@@ -160,7 +169,9 @@ class MixtureBuilder:
 
     def _image(self, features: ImageFeatures, camera: Camera) -> MixtureFactor | None:
         wider = self._wider(_ANY_IMAGE, features.stamp_ns, self._correlation.image_s)
-        features = replace(features, mount=self._mount.applied(features.mount))
+        features = self._image_now = replace(features, mount=self._mount.applied(features.mount))
+        if self._learned_mount is not None:
+            features = replace(features, mount=self._learned_mount.applied(features.mount))
         once = image_mixture(features, camera, self._field, self._detection)
         if once is None or wider == 1.0:
             return once

@@ -11,7 +11,9 @@ from fieldloc.measurements import CameraMount
 
 PARTS = ("height_m", "tilt_rad", "roll_rad", "log_focal")
 """What of a camera a robot's own images tell (fieldloc.mount_fit)."""
-_ROWS = {"height_sigma_m": 0, "tilt_sigma_rad": 2, "roll_sigma_rad": 3}  # in CameraMount.covariance
+ROWS = (0, 2, 3)
+"""Of the first three in CameraMount.covariance."""
+_SIGMAS = ("height_sigma_m", "tilt_sigma_rad", "roll_sigma_rad")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,7 @@ class MountCorrection:
         if self == _NOTHING:
             return mount
         covariance = np.array(mount.covariance, dtype=np.float64)
-        for name, row in _ROWS.items():
+        for name, row in zip(_SIGMAS, ROWS, strict=True):
             sigma = getattr(self, name)
             if sigma > 0.0:
                 covariance[row], covariance[:, row] = 0.0, 0.0

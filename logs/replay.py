@@ -8,7 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.base import Ambiguity, Ambiguous, Estimate, Estimator, Event, Guessing, MixtureEstimator, Seeing
+from estimators.base import (
+    Ambiguity,
+    Ambiguous,
+    Estimate,
+    Estimator,
+    Event,
+    Guessing,
+    MixtureEstimator,
+    Seeing,
+    Settled,
+)
 from estimators.config import Config
 from estimators.smoother import Smoother
 from fieldloc.camera import Camera
@@ -167,6 +177,7 @@ class Run:
         self._several = estimator if isinstance(estimator, MixtureEstimator) else None
         self._seeing = estimator if isinstance(estimator, Seeing) else None
         self._guessing = estimator if isinstance(estimator, Guessing) else None
+        self._settled = estimator if isinstance(estimator, Settled) else None
         self._unusable: list[str] = []
 
     def steps(self) -> Iterator[Step]:
@@ -213,7 +224,12 @@ class Run:
         for factor in factors:
             estimator.update(factor)
         now = self._where(mixture)
-        self._builder.remember(mixture, None if now is None else now.pose)
+        if now is None:
+            self._builder.remember(mixture, None)
+        elif isinstance(measurement, ImageFeatures) and self._is_sure():
+            self._builder.remember(mixture, now.pose, now.robot_covariance)
+        else:
+            self._builder.remember(mixture, now.pose)
 
     def _where(self, mixture: MixtureFactor) -> Estimate | None:
         """What the estimator thinks of the pose that the mixture is about."""
@@ -222,6 +238,9 @@ class Run:
         if self._guessing is not None:
             return self._guessing.likeliest()
         return self.estimator.estimate()
+
+    def _is_sure(self) -> bool:
+        return self._settled.settled if self._settled is not None else self.estimator.estimate() is not None
 
     def trajectory(self) -> tuple[Estimate, ...] | None:
         """The past in the light of all steps taken, None where the estimator cannot look back."""

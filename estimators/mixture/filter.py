@@ -170,6 +170,11 @@ class MixtureFilter:
         return self._seen(self._views.sight(self._extra, self._known)) if len(self._bank) else None
 
     @property
+    def settled(self) -> bool:
+        """Whether one place, its copies under the map's symmetries included, holds 99 % of all that may be now."""
+        return len(self._bank) > 0 and report.place(self._bank, self._sides, self._first[0]) >= _ONE_PLACE
+
+    @property
     def legs(self) -> Legs:
         """What has been learned of the odometry's noise."""
         return self._legs
@@ -251,7 +256,7 @@ class MixtureFilter:
             return False
         if not (mixture.by_sight or mixture.by_compass) and len(mixture.solutions().ids) == 1:
             return True
-        return report.place(self._bank, self._sides, self._first[0]) >= _ONE_PLACE
+        return self.settled
 
     def _begin_leg(self) -> None:
         row = self._first[0]
