@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.timing import table
 from estimators.config import Calibration, Config, Graph, MotionNoise, Robust, Sensor
+from estimators.motion import CALIBRATION
 from estimators.registry import ALL
 from fieldloc import pose as se2
 from fieldloc.detection import Detection
@@ -40,7 +41,7 @@ KNOWN = Config(
     robust=Robust(nis_per_dof=1e6, restart_after=10**6),
     mixture=replace(Config().mixture, kidnaps_per_min=_SURELY, evidence_share=1.0),
     graph=Graph(cauchy=1e6, engine="chain"),
-    calibration=Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0),
+    calibration=replace(Calibration(*[0.0] * CALIBRATION), odometry_delay_sigma_s=0.0),
     sensor=Sensor(0.0, 0.0, 0.0, 0.0),
     correlation=ErrorCorrelation(0.0, 0.0, 0.0, 0.0, 0.0),
     detection=Detection(clutter=_SURELY, nothing_right=_SURELY),

@@ -8,7 +8,7 @@ import numpy as np
 from estimators.calibrated import NEXT_TIME, TOLD_NOTHING, Quantity
 from estimators.config import MotionNoise
 from estimators.legs import Legs
-from estimators.motion import PARTS
+from estimators.motion import PARTS, SAID
 
 _OF_PART = (
     ("forward_m_per_sqrt_m", 0),
@@ -27,8 +27,8 @@ def calibrated_noise(runs: Sequence[Legs], before: MotionNoise) -> tuple[Quantit
     before_any = np.eye(PARTS) / prior**2
     learned = [legs.learned for legs in runs]
     information = before_any + sum(known - before_any for _, known in learned)
-    logs = np.linalg.solve(information, sum(known @ log for log, known in learned))
-    sigmas = np.sqrt(np.diagonal(np.linalg.inv(information)))
+    logs = np.linalg.solve(information, sum(known @ log for log, known in learned))[:SAID]
+    sigmas = np.sqrt(np.diagonal(np.linalg.inv(information)))[:SAID]
     if not (sigmas < TOLD_NOTHING * prior).any():
         return ()
     return tuple(_quantity(name, before, float(logs[part]), float(sigmas[part])) for name, part in _OF_PART)

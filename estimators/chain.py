@@ -33,7 +33,7 @@ class Chain:
 
     def velocities(self, calibration: FloatArray) -> FloatArray:
         """(n, 3) of the robot just before each node, robot frame, m/s and rad/s, by an odometry of that calibration
-        (7,)."""
+        (CALIBRATION,)."""
         if not self.motions:
             return np.zeros((len(self.stamps_ns), 3))
         moved = np.array([motion.before_from_after for motion in self.motions])

@@ -131,6 +131,7 @@ class Calibration:
     veer_sigma_rad_per_m: float = 0.1
     crab_sigma_rad: float = 0.1
     drift_sigma_mps: float = 0.02
+    side_drift_sigma_mps: float = 0.02
     turn_drift_sigma_radps: float = 0.02
     turn_slowing_sigma_s: float = 0.3
     scale: float = 0.0
@@ -138,18 +139,19 @@ class Calibration:
     veer_rad_per_m: float = 0.0
     crab_rad: float = 0.0
     drift_mps: float = 0.0
+    side_drift_mps: float = 0.0
     turn_drift_radps: float = 0.0
     turn_slowing_s: float = 0.0
     odometry_delay_sigma_s: float = 0.15
     odometry_delay_s: float = 0.0
 
     def means(self) -> FloatArray:
-        """(7,) in the order of OdometryCalibration."""
-        return np.array(astuple(self)[7:14])
+        """(8,) in the order of OdometryCalibration."""
+        return np.array(astuple(self)[8:16])
 
     def sigmas(self) -> FloatArray:
-        """(7,) in the order of OdometryCalibration."""
-        return np.array(astuple(self)[:7])
+        """(8,) in the order of OdometryCalibration."""
+        return np.array(astuple(self)[:8])
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from estimators.chain import Chain, Recorded
 from estimators.chosen import Chosen
 from estimators.config import Config
 from estimators.joint import Settled, finished, settle
-from estimators.motion import Increment
+from estimators.motion import SAID, Increment
 from estimators.solution import Solution
 from estimators.stretches import Story
 from fieldloc import pose as se2
@@ -39,7 +39,7 @@ class Lateness:
 def may_be_late(recorded: Recorded, config: Config) -> bool:
     """Whether there is odometry that does not state its covariance, and the settings leave open how late it is."""
     known = config.calibration.odometry_delay_sigma_s == 0.0 or config.sensor.delay_sigma_s == 0.0
-    return not known and any(motion.parts.any() for motion in recorded.motions)
+    return not known and any(motion.parts[:SAID].any() for motion in recorded.motions)
 
 
 def against_odometry(config: Config) -> Config:

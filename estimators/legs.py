@@ -4,10 +4,11 @@ A leg is a stretch of way at whose end the robot knows its pose much better than
 filter that knows its noise, the correction d over a leg has covariance C = carried - known: that of the pose carried
 from the leg's start by the odometry, less that at its end (corrections are independent of what is known after them).
 
-    log p(d) = -1/2 (log |C| + d' C^-1 d),   C = C0 + s1 C1 + s2 C2 + s3 C3
+    log p(d) = -1/2 (log |C| + d' C^-1 d),   C = C0 + s1 C1 + s2 C2 + s3 C3 + ...
 
-with C1 of the noise along the way, C2 and C3 of that of the heading, as it turns and as it goes. Fisher scoring, leg by
-leg, gives the logarithms of s1, s2 and s3 (maximum likelihood on innovations, but over legs: short ones would say how
+with C1 of the noise along the way, C2 and C3 of that of the heading, as it turns and as it goes, and the same of what
+an odometry states of itself (`estimators.motion.PARTS`): drivers are wrong with it by factors, too. Fisher scoring, leg
+by leg, gives the logarithms of the factors (maximum likelihood on innovations, but over legs: short ones would say how
 alike consecutive sights err, and what slips slowly shows only in long ones). d is weighed as of a Student-t
 distribution: no outlier has more than a say.
 """
@@ -31,7 +32,7 @@ _MOST = 4.0
 
 
 def as_noisy(motions: Sequence[Increment], scales: FloatArray) -> tuple[Increment, ...]:
-    """The motions of an odometry that is noisier by these factors (PARTS,), where it does not state its covariance."""
+    """The motions of an odometry that is noisier by these factors (PARTS,) than is thought or stated."""
     parts = np.array([motion.parts for motion in motions]).reshape(-1, PARTS, 3, 3)
     more = np.tensordot(parts, scales - 1.0, ((1,), (0,)))
     return tuple(

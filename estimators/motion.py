@@ -15,11 +15,14 @@ from fieldloc.pose import FloatArray
 
 MAX_GAP_S = 60.0  # a longer silence, or a clock that jumped, makes the pose no more unknown than this
 MAX_PERIOD_S = 1.0
-PARTS = 3
-"""Of the noise: along the way, of its heading by how far it turns, of its heading by how far it goes."""
+SAID = 3
+PARTS = SAID + 2
+"""Of the noise: along the way, of its heading by how far it turns, of its heading by how far it goes; and of what an
+odometry states of itself: of the position, and of the heading with what goes along with it."""
 # how much of a motion is left at Gauss's two points: exact up to cubic, so straight ahead
 GAUSS_POINTS = (0.5 + 0.5 / 3**0.5, 0.5 - 0.5 / 3**0.5)
 Number = TypeVar("Number", float, FloatArray)
+_NONE = np.zeros((3, 3))
 _NO_PARTS = np.zeros((PARTS, 3, 3))
 _AS_SAID = np.ones(PARTS)
 
@@ -28,9 +31,11 @@ class OdometryCalibration(NamedTuple):
     """What odometry gets wrong in the same way all the time. All zero is a perfect one.
 
     Distances are longer by `scale`, turns by `turn_scale`; the robot turns `veer_rad_per_m` while it means to walk
-    straight, and walks `crab_rad` to the left of where its heading points. `drift_mps` forward and `turn_drift_radps`
-    are there at standstill too: a rate sensor's offset. While it turns the robot is slower than it says, by
-    `turn_slowing_s` of its speed for each rad/s: steps are shorter in a turn, wheels share their speed with it.
+    straight, and walks `crab_rad` to the left of where its heading points. `drift_mps` forward, `side_drift_mps` to the
+    left and `turn_drift_radps` are there at standstill too: a rate sensor's offset. (Who walks askew drifts askew. A
+    drift that could be forward only would tell how askew it walks from how its eyes are turned, which nothing does.)
+    While it turns the robot is slower than it says, by `turn_slowing_s` of its speed for each rad/s: steps are shorter
+    in a turn, wheels share their speed with it.
     """
 
     scale: float = 0.0
@@ -38,6 +43,7 @@ class OdometryCalibration(NamedTuple):
     veer_rad_per_m: float = 0.0
     crab_rad: float = 0.0
     drift_mps: float = 0.0
+    side_drift_mps: float = 0.0
     turn_drift_radps: float = 0.0
     turn_slowing_s: float = 0.0
 
@@ -47,13 +53,13 @@ CALIBRATION = len(OdometryCalibration._fields)
 
 def calibrated_velocity(velocity: FloatArray, calibration: FloatArray) -> FloatArray:
     """(3,) that a robot really has whose odometry of that calibration (c,) says `velocity` (3,)."""
-    scale, turn_scale, veer, crab, drift, turn_drift, slowing = calibration.tolist()
+    scale, turn_scale, veer, crab, drift, side_drift, turn_drift, slowing = calibration.tolist()
     forward, left, turn = velocity.tolist()
     scale -= slowing * abs(turn)
     return np.array(
         [
             forward * (1.0 + scale) - crab * left + drift,
-            left * (1.0 + scale) + crab * forward,
+            left * (1.0 + scale) + crab * forward + side_drift,
             turn * (1.0 + turn_scale) + veer * forward + turn_drift,
         ]
     )
@@ -73,13 +79,23 @@ def noise_density(noise: MotionNoise, forward: Number, left: Number, turn: Numbe
     )
 
 
+def stated_parts(covariance: FloatArray) -> FloatArray:
+    """(..., PARTS, 3, 3) of covariances (..., 3, 3) that an odometry states of its velocity, each of them one too."""
+    of_heading = covariance[..., :, 2]
+    variance = np.where(of_heading[..., 2] > 0.0, of_heading[..., 2], 1.0)
+    out = np.zeros((*covariance.shape[:-2], PARTS, 3, 3))
+    out[..., SAID + 1, :, :] = of_heading[..., :, None] * of_heading[..., None, :] / variance[..., None, None]
+    out[..., SAID, :, :] = covariance - out[..., SAID + 1, :, :]
+    return out
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
     """Motion over an interval: field_from_after = field_from_before @ before_from_after.
 
     covariance: (3, 3) of its error, a robot-frame tangent at the end.
     by_calibration: (3, CALIBRATION) the change of that tangent with the odometry's calibration.
-    parts: (PARTS, 3, 3) of the covariance, what comes of which noise.
+    parts: (PARTS, 3, 3) of the covariance, what comes of which noise; silence is in none of them.
     """
 
     before_from_after: FloatArray
@@ -119,9 +135,9 @@ STANDSTILL = Increment(np.zeros(3), np.zeros((3, 3)), np.zeros((3, CALIBRATION))
 class HeldVelocity:
     """Turns odometry messages and the stamps at which the pose is asked for into increments.
 
-    Stamps that run backwards move nothing; an odometry message older than the last one is not used. scales: (PARTS,) of
-    the variances, where the odometry does not state them. delay_s: what a message says happens so much later than its
-    stamp.
+    Stamps that run backwards move nothing; an odometry message older than the last one is not used. scales: (PARTS,) by
+    how much the variances are larger than is thought or stated. delay_s: what a message says happens so much later than
+    its stamp.
     """
 
     def __init__(self, noise: MotionNoise, delay_s: float = 0.0) -> None:
@@ -197,14 +213,15 @@ class HeldVelocity:
             covariance = parts.sum(axis=0)
         else:
             # one error for all of a message: over a part of its period it counts in proportion
-            covariance = by_rate @ stated @ by_rate.T * ((self._period_s or duration_s) * duration_s)
-            parts = _NO_PARTS
+            known = stated_parts(stated) * ((self._period_s or duration_s) * duration_s * self.scales)[:, None, None]
+            parts = by_rate @ known @ by_rate.T
+            covariance = parts.sum(axis=0)
         turning = abs(float(velocity[2]))
         by_calibration = np.array(
             [
-                [forward, 0.0, 0.0, -left, duration_s, 0.0, -turning * forward],
-                [left, 0.0, 0.0, forward, 0.0, 0.0, -turning * left],
-                [0.0, turn, forward, 0.0, 0.0, duration_s, 0.0],
+                [forward, 0.0, 0.0, -left, duration_s, 0.0, 0.0, -turning * forward],
+                [left, 0.0, 0.0, forward, 0.0, duration_s, 0.0, -turning * left],
+                [0.0, turn, forward, 0.0, 0.0, 0.0, duration_s, 0.0],
             ]
         )
         return Increment(np.array(arc(forward, left, turn)), covariance, by_rate @ by_calibration, parts)
@@ -233,7 +250,7 @@ def _noise(density: tuple[float, ...], forward: float, left: float, turn: float)
     points = len(GAUSS_POINTS)
     turned = np.array([t00, t01, t02, t01, t11, t12, t02, t12, points]).reshape(3, 3)
     moved = np.array([m00, m01, 0.0, m01, m11, 0.0, 0.0, 0.0, 0.0]).reshape(3, 3)
-    return np.array([moved, by_turn * turned, by_way * turned])
+    return np.array([moved, by_turn * turned, by_way * turned, _NONE, _NONE])
 
 
 def _joined(one: Increment | None, other: Increment | None) -> Increment | None:

@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.config import MotionNoise
-from estimators.motion import CALIBRATION, GAUSS_POINTS, MAX_GAP_S, MAX_PERIOD_S, PARTS, Increment, noise_density
+from estimators.motion import (
+    CALIBRATION,
+    GAUSS_POINTS,
+    MAX_GAP_S,
+    MAX_PERIOD_S,
+    PARTS,
+    SAID,
+    Increment,
+    noise_density,
+    stated_parts,
+)
 from fieldloc import pose as se2
 from fieldloc.measurements import Odometry
 from fieldloc.pose import FloatArray
@@ -80,28 +90,30 @@ class Said:
         for point in GAUSS_POINTS:
             to_end = se2.adjoint(se2.inverse(se2.exp(point * tangent)))
             parts[:, 0] += (to_end[:, :, :2] * density[:, None, :2]) @ np.swapaxes(to_end[:, :, :2], 1, 2)
-            parts[:, 1:] += (
+            parts[:, 1:SAID] += (
                 density[:, 2:, None, None] * (to_end[:, :, 2:] @ np.swapaxes(to_end[:, :, 2:], 1, 2))[:, None]
             )
         parts *= 0.5 * duration_s[:, None, None, None]
         parts[says_so | ~held] = 0.0
-        covariance = parts.sum(axis=1)
         if says_so.any():
             known = np.array([np.zeros((3, 3)) if one.covariance is None else one.covariance for one in self._held])
             period_s = np.array(self._period_s)[which]
             stated[says_so] = known[which[says_so]]
             scale = np.where(period_s > 0.0, period_s, duration_s) * duration_s
-            covariance[says_so] = ((spread @ stated @ np.swapaxes(spread, 1, 2)) * scale[:, None, None])[says_so]
+            there = stated_parts(stated * scale[:, None, None])[says_so]
+            turn = spread[says_so][:, None]
+            parts[says_so] = turn @ there @ np.swapaxes(turn, 2, 3)
+        covariance = parts.sum(axis=1)
         silent_s = np.minimum(duration_s, MAX_GAP_S)
         position, heading = noise.silent_m_per_sqrt_s**2, noise.silent_rad_per_sqrt_s**2
         covariance[~held] = np.diag([position, position, heading]) * silent_s[~held, None, None]
         forward, left, turn = tangent.T
         change = np.zeros((count, 3, CALIBRATION))
         change[:, 0, 0], change[:, 0, 3], change[:, 0, 4] = forward, -left, duration_s
-        change[:, 1, 0], change[:, 1, 3] = left, forward
-        change[:, 2, 1], change[:, 2, 2], change[:, 2, 5] = turn, forward, duration_s
+        change[:, 1, 0], change[:, 1, 3], change[:, 1, 5] = left, forward, duration_s
+        change[:, 2, 1], change[:, 2, 2], change[:, 2, 6] = turn, forward, duration_s
         turning = np.abs(velocity[:, 2])
-        change[:, 0, 6], change[:, 1, 6] = -turning * forward, -turning * left
+        change[:, 0, 7], change[:, 1, 7] = -turning * forward, -turning * left
         change[~held] = 0.0
         return se2.exp(tangent), covariance, spread @ change, parts
 

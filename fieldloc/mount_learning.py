@@ -14,15 +14,12 @@ from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
 from fieldloc.measurements import CameraMount, ImageFeatures
 from fieldloc.mount_correction import PARTS, ROWS, MountCorrection
-from fieldloc.mount_fit import _DOUBT as DOUBT
-from fieldloc.mount_fit import _PRIOR_IMAGES as PRIOR_IMAGES
-from fieldloc.mount_fit import _TAIL as TAIL
-from fieldloc.mount_fit import _Rows as Rows
-from fieldloc.mount_fit import _rows as rows_of
-from fieldloc.mount_fit import _View as View
+from fieldloc.mount_fit import PRIOR_IMAGES, TAIL
+from fieldloc.mount_rows import Rows, View, rows_of
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import inflation
 
+_DOUBT = 4.0  # the pose comes of this very image, too: it is known worse than it claims
 _FADES_S = 120.0
 _LOOK_WITHIN = 0.5  # of what is claimed, beside what is known: for what has changed since
 _LEAST_S = 0.3  # between images that are looked at: nearer ones say much the same, and looking costs as much as solving
@@ -56,7 +53,7 @@ class LearnedMount:
             elapsed_s = max(image.stamp_ns - self._last_ns, 0) * 1e-9
             so_far = self._so_far.faded(math.exp(-elapsed_s / _FADES_S))
             news = float(1.0 / inflation(np.array(elapsed_s), self._correlation_s))
-        mount, known = _correction(so_far.error, np.zeros(3)).applied(image.mount), DOUBT * covariance
+        mount, known = _correction(so_far.error, np.zeros(3)).applied(image.mount), _DOUBT * covariance
         where = np.zeros((len(PARTS), len(PARTS)))
         where[:3, :3] = so_far.covariance + np.diag((_LOOK_WITHIN * so_far.sigmas) ** 2)
         rows = rows_of(View(image, mount, where, pose, known, self._camera, self._field))

@@ -25,7 +25,7 @@ class ErrorCorrelation:
     """
 
     range_s: float = 3.0
-    bearing_s: float = 0.5
+    bearing_s: float = 1.5
     image_s: float = 0.2
     compass_s: float = 5.0
     hidden_s: float = 0.5

@@ -10,7 +10,7 @@ from estimators.calibrated_noise import calibrated_noise, known_noise
 from estimators.config import Config, MotionNoise
 from estimators.config_file import with_settings
 from estimators.legs import Legs
-from estimators.motion import PARTS
+from estimators.motion import PARTS, SAID
 from fieldloc.pose import FloatArray
 
 BEFORE = MotionNoise(log_scale_sigma=0.8)
@@ -26,8 +26,10 @@ class Learned(Legs):
 
     @property
     def learned(self) -> tuple[FloatArray, FloatArray]:
-        information = PRIOR + np.diag(self.data)
-        return np.linalg.solve(information, self.data * self.logs), information
+        data, logs = np.zeros(PARTS), np.zeros(PARTS)
+        data[:SAID], logs[:SAID] = self.data, self.logs
+        information = PRIOR + np.diag(data)
+        return np.linalg.solve(information, data * logs), information
 
 
 def by_name(found: tuple[Quantity, ...]) -> dict[str, Quantity]:

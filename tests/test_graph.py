@@ -205,10 +205,10 @@ def simulated(
 
 
 def test_the_odometrys_calibration_is_found() -> None:
-    real = OdometryCalibration(0.08, -0.1, 0.12, -0.06, 0.02, 0.015, 0.2)
+    real = OdometryCalibration(0.08, -0.1, 0.12, -0.06, 0.02, -0.01, 0.015, 0.2)
     commands = velocities(1200)
     chain, truth = simulated(real, 4, commands, GENTLE)
-    config = replace(Config(graph=GAUSSIAN), calibration=Calibration(0.2, 0.2, 0.2, 0.2, 0.05, 0.05))
+    config = replace(Config(graph=GAUSSIAN), calibration=Calibration(0.2, 0.2, 0.2, 0.2, 0.05, 0.05, 0.05))
     solution = solve(chain, config)
     error = np.subtract(solution.calibration, real)
     # each is known to a fraction of its prior by now, and off by no more than three of its own sigmas

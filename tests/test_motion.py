@@ -139,7 +139,7 @@ def test_by_calibration_is_the_derivative_of_the_motion(first: FloatArray, secon
 @given(first=vectors, second=vectors)
 def test_a_calibrated_motion_is_that_of_calibrated_velocities(first: FloatArray, second: FloatArray) -> None:
     total = moved(first, 0.4).then(moved(second, 0.3))
-    c = OdometryCalibration(0.001, -0.002, 0.002, -0.001, 0.001, 0.002, 0.002)
+    c = OdometryCalibration(0.001, -0.002, 0.002, -0.001, 0.001, -0.002, 0.002, 0.002)
     exact = se2.compose(se2.exp(calibrated(first, c) * 0.4), se2.exp(calibrated(second, c) * 0.3))
     corrected = total.calibrated(np.array(c))
     # to second order in the calibration

@@ -13,7 +13,7 @@ from estimators.copies import Moved, moved
 from estimators.graph import solve
 from estimators.joint import Settled, cavity, log_evidence, settle
 from estimators.modes import ModeSequence
-from estimators.motion import HeldVelocity
+from estimators.motion import CALIBRATION, HeldVelocity
 from estimators.resolve import resolve
 from estimators.stretches import Story, put_down_ns, stories
 from estimators.tracks import Tracks
@@ -29,7 +29,7 @@ from fieldloc.stacks import PoseStack
 PLAIN = Config(
     motion=MotionNoise(0.1, 0.1, 0.0, 0.0, 0.02, 1e-4),
     graph=Graph(cauchy=1e6),
-    calibration=Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    calibration=Calibration(*[0.0] * CALIBRATION),
     compass=Compass(),
 )
 SIGMA_M, SIGMA_RAD = 0.1, 1e-3

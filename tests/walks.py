@@ -6,7 +6,7 @@ import numpy as np
 
 from estimators.base import Estimate, Estimator
 from estimators.config import Calibration, Config, MotionNoise, Sensor
-from estimators.motion import OdometryCalibration
+from estimators.motion import CALIBRATION, OdometryCalibration
 from fieldloc import pose as se2
 from fieldloc.factors import Factor, HeadingFactor, LandmarkFactor, LineFactor, PoseFactor
 from fieldloc.field import FieldMap, Landmark
@@ -27,7 +27,7 @@ FIELD = FieldMap(
     tuple(Landmark(str(i), position, 0.1, np.zeros((2, 2))) for i, position in enumerate(POSITIONS)),
 )
 PERFECT = OdometryCalibration()
-TAKEN_AT_ITS_WORD = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, odometry_delay_sigma_s=0.0)
+TAKEN_AT_ITS_WORD = Calibration(*[0.0] * CALIBRATION, odometry_delay_sigma_s=0.0)
 GENTLE = MotionNoise(0.05, 0.03, 0.05, 0.05, log_scale_sigma=1.0)
 KNOWN_NOISE = MotionNoise(0.05, 0.03, 0.05, 0.05, log_scale_sigma=0.0)
 PLAIN = Config(motion=KNOWN_NOISE, calibration=TAKEN_AT_ITS_WORD, sensor=Sensor(0.0, 0.0, 0.0, 0.0))
@@ -107,7 +107,7 @@ def calibrated(velocity: FloatArray, calibration: OdometryCalibration) -> FloatA
     scale = c.scale - c.turn_slowing_s * np.abs(turn)
     moved = [
         forward * (1.0 + scale) - left * c.crab_rad + c.drift_mps,
-        left * (1.0 + scale) + forward * c.crab_rad,
+        left * (1.0 + scale) + forward * c.crab_rad + c.side_drift_mps,
         turn * (1.0 + c.turn_scale) + forward * c.veer_rad_per_m + c.turn_drift_radps,
     ]
     return np.stack(np.broadcast_arrays(*moved), axis=-1)
