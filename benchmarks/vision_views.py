@@ -14,20 +14,23 @@ from benchmarks.vision_found import Found, found_in, shares
 from fieldloc import pose as se2
 from fieldloc.field import load_field
 from fieldloc.pose import FloatArray
+from fieldloc.render.truth import CrossingTruth, Truth
 
 NEAR_M, NEAR_RAD = 0.25, math.radians(5.0)
 _HEIGHT_SIGMA_M, _ATTITUDE_SIGMA_RAD = 0.03, math.radians(3.0)
 _FAR_M = 0.5
 _SURE = 0.9
+_PLAIN_PX = 20.0  # of either line at a crossing, for it to be more than a spot at the picture's border
 
 
 class Outcome(NamedTuple):
-    """telling: the view shows two posts or a crossing. rank: of the first hypothesis that is near the truth, counted
-    without twins, -1 for none; off_m, off_rad, nees: of that one. sure_wrong: a place with its twins has a probability
-    above 0.9 and is not near."""
+    """telling: the view shows two posts or a crossing. plain: two posts, or a crossing with a piece of either line.
+    rank: of the first hypothesis that is near the truth, counted without twins, -1 for none; off_m, off_rad, nees: of
+    that one. sure_wrong: a place with its twins has a probability above 0.9 and is not near."""
 
     seed: int
     telling: bool
+    plain: bool
     rank: int
     off_m: float
     off_rad: float
@@ -50,8 +53,8 @@ def run(fields: Sequence[str], seeds: Sequence[int], jobs: int) -> str:
             if seeds_of:
                 failures.append(f"{name}, {what}: {' '.join(map(str, seeds_of))}")
     head = (
-        f"{len(seeds)} views each", "telling", "among", "first", "median m", "deg", "ANEES", "no answer",
-        "wrong > 0.9", "lines recall", "precision", "posts recall", "precision",
+        f"{len(seeds)} views each", "telling", "among", "plain", "among", "first", "median m", "deg", "ANEES",
+        "no answer", "wrong > 0.9", "lines recall", "precision", "posts recall", "precision",
     )  # fmt: skip
     return "\n".join([table(head, rows), *failures])
 
@@ -97,6 +100,7 @@ def look(field_name: str, seed: int) -> Outcome:
     return Outcome(
         seed,
         len(whole) >= 2 or len(truth.crossings) > 0,
+        len(whole) >= 2 or any(is_plain(crossing, truth) for crossing in truth.crossings),
         rank,
         math.hypot(off[0], off[1]),
         abs(float(off[2])),
@@ -105,6 +109,19 @@ def look(field_name: str, seed: int) -> Outcome:
         sure_wrong,
         found_in(detections, truth),
     )
+
+
+def is_plain(crossing: CrossingTruth, truth: Truth) -> bool:
+    """Whether of both of its lines a piece is visible that begins, ends or goes through there."""
+    lengths = dict.fromkeys(crossing.lines, 0.0)
+    for line in truth.lines:
+        way = line.ends_px[1] - line.ends_px[0]
+        length = float(np.hypot(*way))
+        if line.line in lengths and length > 0.0:
+            place = float((crossing.point_px - line.ends_px[0]) @ way) / length
+            if -1.0 <= place <= length + 1.0:
+                lengths[line.line] = max(lengths[line.line], length)
+    return min(lengths.values()) >= _PLAIN_PX
 
 
 def off_truth(pose: FloatArray, truth: FloatArray, symmetries: FloatArray) -> FloatArray:
@@ -117,12 +134,15 @@ def off_truth(pose: FloatArray, truth: FloatArray, symmetries: FloatArray) -> Fl
 
 def _row(name: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     telling = [one for one in outcomes if one.telling]
+    plain = [one for one in telling if one.plain]
     right = [one for one in telling if one.rank >= 0]
     line_recall, line_precision, post_recall, post_precision = shares([one.found for one in outcomes])
     return (
         name,
         str(len(telling)),
         _percent(len(right), len(telling)),
+        str(len(plain)),
+        _percent(sum(one.rank >= 0 for one in plain), len(plain)),
         _percent(sum(one.rank == 0 for one in right), len(telling)),
         f"{np.median([one.off_m for one in right] or [np.nan]):.3f}",
         f"{math.degrees(np.median([one.off_rad for one in right] or [np.nan])):.2f}",
