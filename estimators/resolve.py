@@ -41,6 +41,7 @@ _SURE = 0.5  # probability of a solution, of its mixture alone, from which it is
 _ROUNDS = 3
 _PER_ROUND = 4
 _PASSED = 25.0  # squared Mahalanobis distance
+_ONE_PLACE = np.diag([0.05, 0.05, 0.03]) ** 2  # beside what is known: a single sight errs by more than it says
 _SURELY = np.log(100.0)  # what a break must be likelier by than its rate: evidence at solutions is off by some of that
 _TOLD_WRONG = np.log(0.01)  # that the robot does not start where it was told
 _SPREAD = np.sqrt(3.0) * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
@@ -158,9 +159,10 @@ def _with_surest(
 
 
 def _led_to(seed: Seed, tracks: Tracks, copies: FloatArray) -> bool:
-    """Whether a track passes the seed's place, on some copy, as well as both are known."""
+    """Whether a track passes the seed's place, on some copy, as well as both are known; what is a hand's breadth apart
+    is solved as one."""
     apart = se2.local(se2.compose(copies[:, None], tracks.poses[:, seed.node]), seed.pose)
-    spread = tracks.covariances[:, seed.at] + seed.covariance
+    spread = tracks.covariances[:, seed.at] + seed.covariance + _ONE_PLACE
     distance = np.sum(apart * np.linalg.solve(spread, apart[..., None])[..., 0], axis=-1)
     return bool((distance < _PASSED).any())
 
