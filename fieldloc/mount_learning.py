@@ -56,9 +56,14 @@ class LearnedMount:
         mount, known = _correction(so_far.error, np.zeros(3)).applied(image.mount), _DOUBT * covariance
         where = np.zeros((len(PARTS), len(PARTS)))
         where[:3, :3] = so_far.covariance + np.diag((_LOOK_WITHIN * so_far.sigmas) ** 2)
-        rows = rows_of(View(image, mount, where, pose, known, self._camera, self._field))
-        self._so_far = so_far.after(rows, known, news) if len(rows.residual) else so_far
-        self._last_ns = image.stamp_ns
+        self._so_far, self._last_ns = so_far, image.stamp_ns
+        try:
+            rows = rows_of(View(image, mount, where, pose, known, self._camera, self._field))
+            after = so_far.after(rows, known, news) if len(rows.residual) else so_far
+        except np.linalg.LinAlgError:  # pixels that are claimed to be exact
+            return
+        if after.is_finite:
+            self._so_far = after
 
 
 def _correction(error: FloatArray, sigmas: FloatArray) -> MountCorrection:
@@ -101,6 +106,10 @@ class _SoFar:
     def left(self) -> FloatArray:
         """(3,) standard deviations of an image's error beside what is known of it; no more than is claimed."""
         return np.minimum(np.sqrt(np.diagonal(self.covariance) + self.wobble**2), self.sigmas)
+
+    @property
+    def is_finite(self) -> bool:
+        return all(np.isfinite(each).all() for each in (self.information, self.vector, self.squares, self.count))
 
     def faded(self, share: float) -> "_SoFar":
         """With that share of what was learned."""

@@ -63,6 +63,21 @@ def test_a_mount_that_is_claimed_to_be_exact_stays_as_it_is() -> None:
     np.testing.assert_array_equal(out.applied(exact).covariance, exact.covariance)
 
 
+@pytest.mark.parametrize("covariance", [0.0, np.nan, np.inf])
+def test_an_image_that_no_arithmetic_can_use_is_left_out(covariance: float) -> None:
+    images, poses = walk(np.random.default_rng(7), SIGMAS, 4)
+    odd = [
+        replace(
+            image, lines=tuple(replace(line, covariance_px2=np.diag(np.full(4, covariance))) for line in image.lines)
+        )
+        for image in images
+    ]
+    with np.errstate(all="ignore"):
+        found, left = error_and_sigmas(learned(odd, poses))
+    assert np.isfinite(found).all()
+    assert (left > 0.0).all()
+
+
 def test_before_the_first_image_nothing_is_learned() -> None:
     assert LearnedMount(CAMERA, FIELD, 0.2).applied(CLAIMED) is CLAIMED
 
