@@ -62,7 +62,8 @@ def fit_mount(
     """images with the poses (n, 3) they were taken from and covariances (n, 3, 3) of those, robot frame.
 
     sigmas: (4,) of the constant error beforehand, which is also where the wobble begins. correlation_s: over what time
-    images err alike. Where nothing is told, the error is 0 with those sigmas.
+    images err alike together with the poses that come of them, which lean for longer than images do. Where nothing is
+    told, the error is 0 with those sigmas.
     """
     news, sigmas = _news(images, correlation_s), np.maximum(sigmas, _EXACT)
     error, wobble = np.zeros(_SIZE), 0.5 * sigmas * _WOBBLES

@@ -236,7 +236,6 @@ def _fitted(
         config.mount.camera(cameras[-1]),
         recordings[-1].field,
         claimed,
-        config.correlation.image_s,
     )
 
 
