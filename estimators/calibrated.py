@@ -79,7 +79,7 @@ class Quantity:
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotCalibration:
     """quantities: in the order of estimators.solution. late: how late the robot does what its odometry says.
-    covariance: (11, 11) of the former.
+    covariance: (GLOBALS, GLOBALS) of the former.
 
     disagreement: of several logs, as in estimators.fused.
     """

@@ -1,7 +1,7 @@
 """What a solver of a chain gives back, and what solvers agree on: the numbers that a chain's factors are of.
 
 A solver is a function `solve(chain, config, near) -> Solution`. Beside the poses it solves for what is the same over
-the whole chain, `GLOBALS` numbers in this order: the odometry's calibration (7), the sensor's (4). Their priors have
+the whole chain, `GLOBALS` numbers in this order: the odometry's calibration (8), the sensor's (4). Their priors have
 the means `global_means` and the sigmas `global_sigmas`; a sigma of 0 takes the number at its mean. A compass' offset
 over time comes on top (estimators.compass_knots).
 

@@ -257,7 +257,7 @@ class _Sweep:
         self.covariances[tracks[new], index] = self.covariance[tracks[new], :3, :3]
 
     def _update(self, tracks: IntArray, near: Expansion, rows: IntArray, across: FloatArray, seen: FloatArray) -> None:
-        """rows: of the solutions that the tracks take. across: (h, 14, 3) covariance of states and what is seen."""
+        """rows: of the solutions that the tracks take. across: (h, _STATES, 3) of states and sights."""
         whole = self.covariance[tracks]
         gain = np.swapaxes(np.linalg.solve(seen, np.swapaxes(across, -1, -2)), -1, -2)
         step = (gain @ near.step[rows][:, :, None])[..., 0]

@@ -22,7 +22,7 @@ from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
 from fieldloc.measurements import ImageFeatures
 from fieldloc.mount_correction import PARTS, MountCorrection
-from fieldloc.mount_rows import Rows, View, rows_of
+from fieldloc.mount_rows import Rows, View, Weighed, rows_of
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import inflation
 
@@ -31,7 +31,6 @@ _SETTLED = 0.1  # of a sigma
 _WOBBLES = np.array([1.0, 1.0, 1.0, 0.0])
 _EXACT = 1e-9  # standard deviation of what is taken as known
 _SIZE = len(PARTS)
-TAIL = 4.0  # degrees of freedom of a Student t: what fits badly counts less
 _DOUBT = 9.0  # of variances: images' poses come from these very images, and lean the way that the camera is off
 PRIOR_IMAGES = 4.0  # how many images the prior of the wobble is worth
 
@@ -112,22 +111,18 @@ def _estimated(
     vector: FloatArray = -at / sigmas**2
     whitened = []
     for rows, known, share, i in told:
-        spread = np.eye(len(rows.residual)) + rows.by_pose @ known @ rows.by_pose.T
-        whole = spread + (rows.by_mount * wobble**2) @ rows.by_mount.T
-        misfit = rows.residual @ np.linalg.solve(whole, rows.residual)
-        weight = float(share * (TAIL + len(rows.residual)) / (TAIL + misfit))
-        solved = np.linalg.solve(whole, np.column_stack([rows.by_mount, rows.residual]))
-        information = information + weight * (rows.by_mount.T @ solved[:, :_SIZE])
-        vector = vector + weight * (rows.by_mount.T @ solved[:, _SIZE])
-        whitened.append((rows, solved, weight, known, i))
+        weighed = Weighed.of(rows, known, wobble, share)
+        more = weighed.says(rows)
+        information, vector = information + more[0], vector + more[1]
+        whitened.append((rows, weighed, known, i))
     covariance = np.linalg.inv(information)
     step = covariance @ vector
     squares = PRIOR_IMAGES * (0.5 * sigmas * _WOBBLES) ** 2
     count = float(PRIOR_IMAGES)
-    for rows, solved, weight, known, i in whitened:
-        gain, left_over = wobble[:, None] ** 2 * rows.by_mount.T, solved[:, _SIZE] - solved[:, :_SIZE] @ step
-        off[i], moved[i] = gain @ left_over, known @ (rows.by_pose.T @ left_over)
-        left = wobble**2 - np.einsum("ik,ki->i", gain, solved[:, :_SIZE]) * wobble**2
-        squares = squares + weight * (off[i] ** 2 + left)
-        count += weight
+    for rows, weighed, known, i in whitened:
+        left = weighed.left(step)
+        off[i], variance = weighed.wobbled(rows, wobble, left)
+        moved[i] = known @ (rows.by_pose.T @ left)
+        squares = squares + weighed.weight * (off[i] ** 2 + variance)
+        count += weighed.weight
     return at + step, np.asarray(covariance), np.asarray(np.sqrt(squares / count))

@@ -6,7 +6,7 @@ fades over minutes: a fall can bend a neck.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
 from fieldloc.measurements import CameraMount, ImageFeatures
 from fieldloc.mount_correction import PARTS, ROWS, MountCorrection
-from fieldloc.mount_fit import PRIOR_IMAGES, TAIL
-from fieldloc.mount_rows import Rows, View, rows_of
+from fieldloc.mount_fit import PRIOR_IMAGES
+from fieldloc.mount_rows import Rows, View, Weighed, rows_of
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import inflation
 
@@ -125,22 +125,16 @@ class _SoFar:
     def after(self, rows: Rows, known: FloatArray, news: float) -> "_SoFar":
         """With another image, taken from a pose of covariance `known` (3, 3), that counts as so much of one."""
         error, wobble = self.error, self.wobble
-        noise = np.eye(len(rows.residual)) + rows.by_pose @ known @ rows.by_pose.T
-        change = rows.by_mount[:, :3]
-        whole = noise + (change * wobble**2) @ change.T
-        solved = np.linalg.solve(whole, np.column_stack([change, rows.residual]))
-        by_mount, residual = solved[:, :-1], solved[:, -1]
-        weight = news * (TAIL + len(residual)) / (TAIL + float(rows.residual @ residual))
-        information = weight * (change.T @ by_mount)
-        vector = weight * (change.T @ residual) + information @ error
+        rows = replace(rows, by_mount=rows.by_mount[:, : len(error)])
+        weighed = Weighed.of(rows, known, wobble, news)
+        information, vector = weighed.says(rows)
+        vector = vector + information @ error
         step = np.linalg.solve(self.information + information, self.vector + vector) - error
-        gain = wobble[:, None] ** 2 * change.T
-        mean = gain @ (residual - by_mount @ step)
-        variance = wobble**2 * (1.0 - np.einsum("ik,ki->i", gain, by_mount))
+        mean, variance = weighed.wobbled(rows, wobble, weighed.left(step))
         return _SoFar(
             self.sigmas,
             self.information + information,
             self.vector + vector,
-            self.squares + weight * (mean**2 + variance),
-            self.count + weight,
+            self.squares + weighed.weight * (mean**2 + variance),
+            self.count + weighed.weight,
         )

@@ -4,6 +4,7 @@ The ends of lines and the posts' feet, each against the thing on the map that it
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ _MOUNT_STEP = np.array([1e-4, 1e-5, 1e-5, 1e-5])  # of height, tilt, roll, log o
 _GATE = 13.8  # chi-square of two numbers, once in a thousand
 _CLEARER = 9.0  # by how much the next best thing on the map must fit worse
 _SIZE = len(PARTS)
+_TAIL = 4.0  # degrees of freedom of a Student t: what fits badly counts less
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +49,40 @@ class View:
     known: FloatArray
     camera: Camera
     field: FieldMap
+
+
+class Weighed(NamedTuple):
+    """An image's numbers weighed by the inverse of their covariance W: inverse W times the change with mount (k, n)
+    and times the residual (k,). weight: how much of a vote the image has."""
+
+    by_mount: FloatArray
+    residual: FloatArray
+    weight: float
+
+    @staticmethod
+    def of(rows: Rows, known: FloatArray, wobble: FloatArray, share: float) -> "Weighed":
+        """known: (3, 3) covariance of the pose, wobble: (n,) standard deviations of the mount from image to image,
+        share: how much of a vote it has if it fits; a Student t gives less to what fits badly."""
+        noise = np.eye(len(rows.residual)) + propagate(rows.by_pose, known)
+        whole = noise + propagate(rows.by_mount, np.diag(wobble**2))
+        columns = np.column_stack([rows.by_mount, rows.residual])
+        solved = np.asarray(np.linalg.solve(whole, columns), dtype=np.float64)
+        by_mount, residual = solved[:, :-1], solved[:, -1]
+        misfit = float(rows.residual @ residual)
+        return Weighed(by_mount, residual, share * (_TAIL + len(residual)) / (_TAIL + misfit))
+
+    def says(self, rows: Rows) -> tuple[FloatArray, FloatArray]:
+        """Information (n, n) of the constant error, and vector (n,), about the mount that the rows are about."""
+        return self.weight * (rows.by_mount.T @ self.by_mount), self.weight * (rows.by_mount.T @ self.residual)
+
+    def left(self, step: FloatArray) -> FloatArray:
+        """(k,) the weighed residual once the constant has moved by a step (n,)."""
+        return self.residual - self.by_mount @ step
+
+    def wobbled(self, rows: Rows, wobble: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (n,) and variance (n,) of the image's own error, of which `left` is what the constant leaves."""
+        gain = wobble[:, None] ** 2 * rows.by_mount.T
+        return gain @ left, wobble**2 * (1.0 - np.einsum("ik,ki->i", gain, self.by_mount))
 
 
 def rows_of(view: View) -> Rows:
