@@ -27,8 +27,7 @@ from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.scan_distortion import KNOWN as UNDISTORTED
 from fieldloc.scan_noise import UNLEARNED
-from logs.recording import Recording
-from logs.replay import replay
+from logs.replay import Recording, replay
 
 ESTIMATORS = ("ekf", "mixture", "smooth")
 _STEP_NS, _SCAN_STEPS = 100_000_000, 2

@@ -198,6 +198,15 @@ class Compass:
 
 
 @dataclass(frozen=True, slots=True)
+class Survey:
+    """How far landmarks stand beside their places on a map that does not say how well it knows them: standard
+    deviation in x as in y, the same error all through a log. Who puts up posts and tubes by tape or by eye, who takes
+    a trunk's middle for its axis, is hardly better than a centimetre. 0 takes such a map as exact."""
+
+    landmark_sigma_m: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
 class Config:
     motion: MotionNoise = field(default_factory=MotionNoise)
     robust: Robust = field(default_factory=Robust)
@@ -212,3 +221,4 @@ class Config:
     scan_noise: NoisePrior = field(default_factory=NoisePrior)
     scan_distortion: DistortionPrior = field(default_factory=DistortionPrior)
     compass: Compass = field(default_factory=Compass)
+    survey: Survey = field(default_factory=Survey)

@@ -24,6 +24,7 @@ from estimators.reading import read_track
 from estimators.resolved import Resolution
 from estimators.seeds import on_copies, seeds, surest, whole_poses
 from estimators.stretches import Story, put_down_ns, stories
+from estimators.surveyed_errors import with_survey
 from estimators.tracks import Seed, Tracks, follow
 from fieldloc import pose as se2
 from fieldloc.pose import FloatArray
@@ -114,10 +115,11 @@ def resolve(
         answer = settle(log, story, config, chosen=chosen)
         settled, evidence = [answer], [0.0]
     answer = settled_in_time(log, story, answer, told_config, chosen) if late else finished(answer, config)
+    solution = with_survey(log, answer.choices, chosen, answer.chain, answer.solution, told_config)
     stamps_ns = recorded.stamps_ns
     order, ranked = _ranked(settled, np.array(evidence), best)
     return Resolution(
-        answer.solution,
+        solution,
         answer.chain,
         answer.choices,
         tuple(put_down_ns(*(stamps_ns[k] for k in recorded.between(answer.choices, node))) for node in answer.breaks),

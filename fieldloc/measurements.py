@@ -123,5 +123,4 @@ class Truth:
     pose: FloatArray
 
 
-Observation = LandmarkScan | ImageFeatures | Compass | InitialPose
-Measurement = Odometry | Observation
+Measurement = Odometry | LandmarkScan | ImageFeatures | Compass | InitialPose

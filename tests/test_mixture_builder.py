@@ -232,7 +232,7 @@ def test_a_landmark_seen_again_a_moment_later_is_little_news() -> None:
         (factor,) = likeliest(mixture, pose)
         assert isinstance(factor, LandmarkFactor)
         assert mixture is not None
-        builder.remember(made, mixture, pose)
+        builder.remember(mixture, pose)
         return factor.covariance
 
     for made, expected in ((first, plain), (again, plain * wider), (other, plain), (later, plain)):
@@ -245,22 +245,20 @@ def test_a_landmark_seen_again_a_moment_later_is_little_news() -> None:
 def test_what_nobody_knows_the_landmark_of_is_no_old_news() -> None:
     builder = MixtureBuilder(FIELD)
     for _ in range(2):
-        scan = rows(everything(), [0])
-        mixture = builder.build(scan)
+        mixture = builder.build(rows(everything(), [0]))
         assert mixture is not None
         (factor,) = likeliest(mixture)
         (expected,) = likeliest(MixtureBuilder(FIELD).build(rows(everything(), [0])))
         assert_same(factor, expected)
-        builder.remember(scan, mixture, None)
+        builder.remember(mixture, None)
 
 
 def test_with_no_correlation_all_is_news() -> None:
     builder = MixtureBuilder(FIELD, correlation=ALL_NEWS)
     results = []
     for _ in range(2):
-        scan = everything()
-        mixture = builder.build(scan)
+        mixture = builder.build(everything())
         results += likeliest(mixture)
         assert mixture is not None
-        builder.remember(scan, mixture, POSE)
+        builder.remember(mixture, POSE)
     assert_same(*results)

@@ -19,8 +19,7 @@ from fieldloc.vision.picture import encode
 from logs.edit.seen import with_features
 from logs.pictures import picture_features
 from logs.reader import LogFile
-from logs.recording import load_recording
-from logs.replay import replay
+from logs.replay import load_recording, replay
 
 FIELD = load_field("kidsize")
 TOPIC = "/camera/image_raw/compressed"

@@ -61,6 +61,20 @@ def marginals(blocks: Blocks) -> Marginals:
     return Marginals(covariances, with_next, border, log_determinant, *_stepped(reduced))
 
 
+def changes(blocks: Blocks, given: int) -> tuple[FloatArray, FloatArray]:
+    """Of the blocks (n, d, given) and of the rest of the border (p - given, given), with the last `given` numbers of
+    the border, were these known."""
+    reduced = _reduced(blocks, 0.0)
+    by_border = -reduced.few[:, :-1]
+    for level in reversed(reduced.levels):
+        by_border = _spread(by_border, -level.by_border[:, :-1], level)
+    p = len(blocks.corner) - 1
+    rest, last = slice(p - given), slice(p - given, p)
+    border = -np.asarray(np.linalg.solve(reduced.corner[rest, rest], reduced.corner[rest, last]), dtype=np.float64)
+    out = by_border[:, last].transpose(2, 0, 1) + by_border[:, rest].transpose(2, 0, 1) @ border
+    return out, border
+
+
 def _stepped(reduced: _Reduced) -> tuple[FloatArray, FloatArray]:
     border = np.asarray(np.linalg.solve(reduced.corner[:-1, :-1], reduced.corner[:-1, -1]), dtype=np.float64)
     towards = np.append(-border, 1.0)

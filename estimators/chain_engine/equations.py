@@ -49,7 +49,7 @@ class Arithmetic(Protocol):
 class Equations:
     def __init__(self, chain: Chain, config: Config, arithmetic: Callable[[Linearised, float], Arithmetic]) -> None:
         self._cauchy = config.graph.cauchy
-        linearised = Linearised(chain, config)
+        self.linearised = linearised = Linearised(chain, config)
         self.free, self.means = linearised.free, linearised.means
         # what is not free has a column too, in which nothing is: a border of one size
         self._weights = np.where(self.free, linearised.sigmas, 1.0) ** -2.0
@@ -93,6 +93,9 @@ class Equations:
             marginals.log_determinant + left_out,
         )
         return solution, after, moved
+
+    def marginals(self, blocks: Blocks) -> Marginals:
+        return self._arithmetic.marginals(blocks)
 
     def start(self, near: Solution) -> FloatArray:
         """(n,) the compass' offset at each node by an earlier solution."""
