@@ -27,7 +27,8 @@ from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
 from fieldloc.scan_distortion import KNOWN as UNDISTORTED
 from fieldloc.scan_noise import UNLEARNED
-from logs.replay import Recording, replay
+from logs.recording import Recording
+from logs.replay import replay
 
 ESTIMATORS = ("ekf", "mixture", "smooth")
 _STEP_NS, _SCAN_STEPS = 100_000_000, 2

@@ -9,7 +9,7 @@ from fieldloc.field import load_field
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, Measurement, Odometry
 from fieldloc.mount_correction import PARTS, MountCorrection
 from logs.calibrating import calibrate_recordings
-from logs.replay import Recording
+from logs.recording import Recording
 from logs.simulate import load_scenario
 from logs.simulate.game import play
 from logs.simulate.settings import FallSettings, KidnappingSettings, PenaltySettings

@@ -16,7 +16,7 @@ from fieldloc.field import FieldMap, Landmark
 from fieldloc.measurements import LandmarkScan, Measurement, Odometry
 from fieldloc.pose import FloatArray
 from fieldloc.scan_distortion import PERFECT, ScanDistortion
-from logs.replay import Recording
+from logs.recording import Recording
 
 _STEP_NS, _ODOMETRY_STEPS, _SCAN_STEPS = 20_000_000, 5, 15
 _BEGIN_NS = 10 * 10**9  # so that nothing is stamped before zero

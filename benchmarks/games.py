@@ -11,7 +11,7 @@ from fieldloc.measurements import Compass, ImageFeatures, InitialPose, Measureme
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
 from fieldloc.regions import Region, anywhere, draw, region
-from logs.replay import Recording
+from logs.recording import Recording
 from logs.simulate import Scenario, load_scenario
 from logs.simulate.course import Course
 from logs.simulate.game import BEGIN_NS, play

@@ -28,7 +28,8 @@ from fieldloc.field import FieldMap
 from fieldloc.measurements import InitialPose, LandmarkScan, Truth
 from logs.evaluate import match
 from logs.reader import LogFile
-from logs.replay import Recording, Run, load_recording
+from logs.recording import Recording, load_recording
+from logs.replay import Run
 from logs.report.pareto_picture import CostPoint, write_pareto_picture
 from logs.samples import sample_path
 from logs.simulate import load_scenario, simulate

@@ -17,7 +17,8 @@ from estimators.config import Config
 from estimators.smoother import Smoother
 from logs.estimates import write_estimates
 from logs.reader import LogFile
-from logs.replay import Replay, Run, load_recording
+from logs.recording import load_recording
+from logs.replay import Replay, Run
 from logs.samples import sample_path
 
 _HEAD = ("log", "lasts s", "nodes", "read s", "ahead s", "back s", "write s", "all s", "gtsam s", "times")

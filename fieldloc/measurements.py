@@ -123,4 +123,5 @@ class Truth:
     pose: FloatArray
 
 
-Measurement = Odometry | LandmarkScan | ImageFeatures | Compass | InitialPose
+Observation = LandmarkScan | ImageFeatures | Compass | InitialPose
+Measurement = Odometry | Observation

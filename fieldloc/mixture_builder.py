@@ -13,7 +13,7 @@ from fieldloc.field import FieldMap
 from fieldloc.heading_mixture import heading_mixture
 from fieldloc.image_mixture import image_mixture
 from fieldloc.magnitudes import check_magnitudes
-from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan
+from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Observation
 from fieldloc.mixture import MixtureFactor
 from fieldloc.mount_correction import MountCorrection
 from fieldloc.mount_learning import LearnedMount
@@ -57,7 +57,6 @@ class MixtureBuilder:
         self._detection = detection
         self._mount = mount
         self._learned_mount = None if self._camera is None else LearnedMount(self._camera, field, correlation.image_s)
-        self._image_now: ImageFeatures | None = None
         self._area_m2 = float(np.exp(anywhere(field).log_volume)) / (2 * np.pi)
         self._repetition = Repetition()
         self._noises = ScanNoises(noise, distortion, correlation)
@@ -82,7 +81,7 @@ class MixtureBuilder:
         """How noisy the scans of each sensor have turned out to be."""
         return self._noises.learned()
 
-    def build(self, measurement: LandmarkScan | ImageFeatures | Compass | InitialPose) -> MixtureFactor | None:
+    def build(self, measurement: Observation) -> MixtureFactor | None:
         """None for what says nothing: no landmark of the map, no line, no camera. ValueError for what no arithmetic can
         use."""
         check_magnitudes(measurement)
@@ -104,29 +103,33 @@ class MixtureBuilder:
                 pose, covariance = measurement.pose, measurement.covariance
                 return told_mixture(stamp_ns, pose, covariance, self._detection.nothing_right, anywhere(self._field))
 
-    def remember(self, mixture: MixtureFactor, pose: FloatArray | None, covariance: FloatArray | None = None) -> None:
+    def remember(
+        self,
+        measurement: Observation,
+        mixture: MixtureFactor,
+        pose: FloatArray | None,
+        covariance: FloatArray | None = None,
+    ) -> None:
         """What was seen, by where the robot (3,) is thought to be now: seen again soon, it is little news.
 
-        covariance: (3, 3) of that, robot frame, if the robot is surely there: then the camera's mount is learned from.
+        mixture: what `build` made of the measurement. covariance: (3, 3) of the pose, robot frame, if the robot is
+        surely there: then the camera's mount is learned from.
         """
         if pose is not None and not np.isfinite(pose).all():
             pose = None
-        match mixture:
-            case ScanMixture():
-                if pose is not None:
-                    seen = mixture.landmarks_seen(pose)
-                    for index in seen:
-                        self._repetition.see(index, mixture.stamp_ns)
-                    self._wrong.count(wrong=not seen)
-                    self._noises.learn(mixture, pose)
-            case _ if mixture.by_compass:
-                if pose is not None:  # a heading alone is lost on a robot that knows nothing
-                    self._repetition.see(_COMPASS, mixture.stamp_ns)
-            case _:
+        match measurement:
+            case LandmarkScan() if isinstance(mixture, ScanMixture) and pose is not None:
+                seen = mixture.landmarks_seen(pose)
+                for index in seen:
+                    self._repetition.see(index, mixture.stamp_ns)
+                self._wrong.count(wrong=not seen)
+                self._noises.learn(mixture, pose)
+            case Compass() if pose is not None:  # a heading alone is lost on a robot that knows nothing
+                self._repetition.see(_COMPASS, mixture.stamp_ns)
+            case ImageFeatures():
                 self._repetition.see(_ANY_IMAGE, mixture.stamp_ns)
-                image, learned = self._image_now, self._learned_mount
-                if learned is not None and image is not None and pose is not None and covariance is not None:
-                    learned.learn(image, pose, covariance)
+                if self._learned_mount is not None and pose is not None and covariance is not None:
+                    self._learned_mount.learn(self._mounted(measurement), pose, covariance)
 
     def relearned(self, mixture: MixtureFactor) -> MixtureFactor:
         """One that was built here, with what has been learned of its sensor since."""
@@ -169,13 +172,17 @@ class MixtureBuilder:
 
     def _image(self, features: ImageFeatures, camera: Camera) -> MixtureFactor | None:
         wider = self._wider(_ANY_IMAGE, features.stamp_ns, self._correlation.image_s)
-        features = self._image_now = replace(features, mount=self._mount.applied(features.mount))
+        features = self._mounted(features)
         if self._learned_mount is not None:
             features = replace(features, mount=self._learned_mount.applied(features.mount))
         once = image_mixture(features, camera, self._field, self._detection)
         if once is None or wider == 1.0:
             return once
         return RepeatedMixture(tempered(once, wider), once, wider, float(np.log(2 * np.pi * self._area_m2)))
+
+    def _mounted(self, features: ImageFeatures) -> ImageFeatures:
+        """As the settings know the camera's mount, beside what is learned of it."""
+        return replace(features, mount=self._mount.applied(features.mount))
 
     def _count_unknown(self, labels: Iterable[str | None]) -> None:
         self._unknown.update(label for label in labels if label is not None and self._field.index_of(label) is None)

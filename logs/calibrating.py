@@ -27,7 +27,8 @@ from fieldloc.scan_noises import LearnedNoise
 from logs.atomic import atomic_text
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
-from logs.replay import Recording, load_recording, replay
+from logs.recording import Recording, load_recording
+from logs.replay import replay
 from logs.surveying import on_one_map, survey
 from logs.table import NOTHING, Cell, Table
 from logs.table_text import format_columns

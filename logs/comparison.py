@@ -14,7 +14,8 @@ from fieldloc.measurements import Truth
 from fieldloc.pose import FloatArray
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
-from logs.replay import load_recording, replay
+from logs.recording import load_recording
+from logs.replay import replay
 from logs.results import LogResult, RunResult, ScoredLog, score
 from logs.trajectory import from_estimates, from_truth
 

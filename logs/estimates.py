@@ -16,7 +16,8 @@ from logs.foxglove.topics import BESIDE_OTHERS, STAMPS_NS, Frames
 from logs.odom import odom_from_robot
 from logs.progress import Progress, unwatched
 from logs.reader import LogFile
-from logs.replay import Recording, Replay
+from logs.recording import Recording
+from logs.replay import Replay
 from logs.schema import ROS2_ESTIMATES, topic_of
 from logs.source import Container, Encoded, RawMessage, Source
 from logs.trajectory import Trajectory, from_estimates, from_truth

@@ -13,7 +13,8 @@ from fieldloc.measurements import Compass, ImageFeatures, LandmarkScan, Odometry
 from fieldloc.pose import FloatArray
 from logs.foxglove.topics import BESIDE_OTHERS, PREFIX, Frames
 from logs.reader import LogFile
-from logs.replay import Recording, Replay
+from logs.recording import Recording
+from logs.replay import Replay
 from logs.schema import BY_KIND, BY_NAME, MESSAGE_ENCODING, SCHEMA_ENCODING, TOPICS, Record, encode, topic_of
 from logs.source import Container, Encoded, RawMessage, Source
 

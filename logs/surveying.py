@@ -16,7 +16,7 @@ from fieldloc.field import FieldMap, field_to_toml
 from fieldloc.measurements import LandmarkScan
 from fieldloc.scan_noises import LearnedNoise
 from logs.atomic import atomic_text
-from logs.replay import Recording
+from logs.recording import Recording
 from logs.table import NOTHING, Cell, Table
 from logs.table_text import format_columns
 

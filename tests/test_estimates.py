@@ -32,7 +32,8 @@ from logs.foreign.settings import LogMapping
 from logs.foxglove import topics
 from logs.reader import LogFile
 from logs.reader.container import open_container
-from logs.replay import Recording, Replay
+from logs.recording import Recording
+from logs.replay import Replay
 from logs.result_streams import clock_offset_ns
 from logs.schema import TOPICS, topic_of
 from logs.source import Attachment, Encoded, RawMessage, Source

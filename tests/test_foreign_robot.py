@@ -30,7 +30,8 @@ from logs.foreign.settings import CompassSettings, LogMapping
 from logs.info import summarize
 from logs.info_text import format_summary
 from logs.reader import LogFile
-from logs.replay import load_recording, replay
+from logs.recording import load_recording
+from logs.replay import replay
 from logs.trajectory import from_estimates
 from logs.writer import LogWriter
 

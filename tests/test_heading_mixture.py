@@ -127,11 +127,12 @@ def test_ten_seconds_of_nonsense_say_less_than_four_readings() -> None:
     builder, pose = MixtureBuilder(load_field("kidsize"), correlation=ErrorCorrelation(compass_s=2.0)), np.zeros(3)
     said = 0.0
     for k in range(100):
-        mixture = builder.build(Compass(k * SECOND // 10, np.pi, SIGMA))
+        reading = Compass(k * SECOND // 10, np.pi, SIGMA)
+        mixture = builder.build(reading)
         assert mixture is not None
         own, other = mixture.log_likelihood(headings(np.array([0.0, np.pi])))
         said += float(other - own)
-        builder.remember(mixture, pose)
+        builder.remember(reading, mixture, pose)
     one = float(np.ptp(log_density(np.array([0.0, np.pi]))))
     # the first, and ten seconds of errors that are alike over two: 100 / ((1 + rho) / (1 - rho)) at 0.1 s
     assert said == pytest.approx(one * (1.0 + 99 / 40.0), rel=0.01)
@@ -140,10 +141,11 @@ def test_ten_seconds_of_nonsense_say_less_than_four_readings() -> None:
 def test_a_reading_that_nobody_could_use_is_not_old_news() -> None:
     builder = MixtureBuilder(load_field("kidsize"))
     for pose in (None, None, np.zeros(3)):
-        mixture = builder.build(Compass(0, 0.0, SIGMA))
+        reading = Compass(0, 0.0, SIGMA)
+        mixture = builder.build(reading)
         assert isinstance(mixture, HeadingMixture)
         assert mixture.wider == 1.0
-        builder.remember(mixture, pose)
+        builder.remember(reading, mixture, pose)
     again = builder.build(Compass(SECOND, 0.0, SIGMA))
     assert isinstance(again, HeadingMixture)
     assert again.wider > 2.0

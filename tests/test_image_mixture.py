@@ -378,12 +378,13 @@ def test_a_walk_on_a_soccer_field_is_followed_by_images_alone() -> None:
             ekf.advance(stamp_ns)
             now = ekf.estimate()
             assert now is not None
-            found = builder.build(see(FIELD, pose, stamp_ns, random, 0.5))
+            image = see(FIELD, pose, stamp_ns, random, 0.5)
+            found = builder.build(image)
             if found is not None:
                 belief = Belief(now.pose, se2.rotate_covariance(now.covariance, -now.pose[2]))
                 for factor in sure(found, belief):
                     ekf.update(factor)
-                builder.remember(found, now.pose)
+                builder.remember(image, found, now.pose)
             now = ekf.estimate()
             assert now is not None
             errors.append(np.linalg.norm(now.pose[:2] - pose[:2]))

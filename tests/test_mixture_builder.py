@@ -232,7 +232,7 @@ def test_a_landmark_seen_again_a_moment_later_is_little_news() -> None:
         (factor,) = likeliest(mixture, pose)
         assert isinstance(factor, LandmarkFactor)
         assert mixture is not None
-        builder.remember(mixture, pose)
+        builder.remember(made, mixture, pose)
         return factor.covariance
 
     for made, expected in ((first, plain), (again, plain * wider), (other, plain), (later, plain)):
@@ -245,20 +245,22 @@ def test_a_landmark_seen_again_a_moment_later_is_little_news() -> None:
 def test_what_nobody_knows_the_landmark_of_is_no_old_news() -> None:
     builder = MixtureBuilder(FIELD)
     for _ in range(2):
-        mixture = builder.build(rows(everything(), [0]))
+        scan = rows(everything(), [0])
+        mixture = builder.build(scan)
         assert mixture is not None
         (factor,) = likeliest(mixture)
         (expected,) = likeliest(MixtureBuilder(FIELD).build(rows(everything(), [0])))
         assert_same(factor, expected)
-        builder.remember(mixture, None)
+        builder.remember(scan, mixture, None)
 
 
 def test_with_no_correlation_all_is_news() -> None:
     builder = MixtureBuilder(FIELD, correlation=ALL_NEWS)
     results = []
     for _ in range(2):
-        mixture = builder.build(everything())
+        scan = everything()
+        mixture = builder.build(scan)
         results += likeliest(mixture)
         assert mixture is not None
-        builder.remember(mixture, POSE)
+        builder.remember(scan, mixture, POSE)
     assert_same(*results)

@@ -28,9 +28,12 @@ def test_a_published_filter_finds_the_robot_and_follows_it(name: str) -> None:
         estimator.start_in(anywhere(FIELD), 0)
         for k, command in enumerate(commands):
             estimator.predict(Odometry(ns(0.1 * k), command))
-            if k % 4 == 1 and (seen := builder.build(scan(ns(0.1 * k), truth[k], random))) is not None:
+            if k % 4 == 1:
+                measured = scan(ns(0.1 * k), truth[k], random)
+                seen = builder.build(measured)
+                assert seen is not None
                 estimator.observe(seen)
-                builder.remember(seen, None)
+                builder.remember(measured, seen, None)
         estimator.advance(ns(30.0))
         estimate, said = estimator.estimate(), estimator.ambiguity()
         assert estimate is not None

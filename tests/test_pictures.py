@@ -19,7 +19,8 @@ from fieldloc.vision.picture import encode
 from logs.edit.seen import with_features
 from logs.pictures import picture_features
 from logs.reader import LogFile
-from logs.replay import load_recording, replay
+from logs.recording import load_recording
+from logs.replay import replay
 
 FIELD = load_field("kidsize")
 TOPIC = "/camera/image_raw/compressed"

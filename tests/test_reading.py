@@ -15,7 +15,8 @@ from estimators.tracks import Seed, Tracks
 from fieldloc import pose as se2
 from fieldloc.regions import anywhere
 from logs.reader import LogFile
-from logs.replay import load_recording, replay
+from logs.recording import load_recording
+from logs.replay import replay
 from logs.samples import sample_path
 
 _Asked = tuple[Recorded, tuple[ModeSequence, ...], Seed, int | None, Config]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fieldloc.field import load_field
-from fieldloc.measurements import ImageFeatures
+from fieldloc.measurements import ImageFeatures, InitialPose
 from fieldloc.mixture import MixtureFactor
 from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.regions import anywhere
@@ -28,7 +28,7 @@ def images() -> Iterator[tuple[MixtureFactor, RepeatedMixture]]:
         if isinstance(message.record, ImageFeatures):
             one, other = alone.build(message.record), again.build(message.record)
             if one is not None and other is not None:
-                again.remember(other, np.zeros(3))
+                again.remember(message.record, other, np.zeros(3))
                 if isinstance(other, RepeatedMixture):
                     yield one, other
         if message.log_time_ns > 5 * 10**9:
@@ -111,3 +111,15 @@ def test_what_is_derived_of_an_expansion_keeps_what_nothing_being_right_is_worth
     turned = near.of(np.eye(3), np.eye(3), np.tile(np.eye(3), (2, 1, 1)))
     for other in (near.take(np.arange(1)), near.likelier(1.0, near.ids), turned):
         np.testing.assert_array_equal(other.log_blind(again, 2), near.log_blind(again, 2))
+
+
+def test_a_told_pose_makes_no_image_old_news() -> None:
+    scenario = load_scenario("quiet")
+    builder = MixtureBuilder(FIELD, scenario.vision.camera)
+    records = (message.record for message in messages(play(scenario, FIELD, 5)))
+    image = next(record for record in records if isinstance(record, ImageFeatures) and builder.build(record))
+    told = InitialPose(image.stamp_ns - 10**7, np.zeros(3), np.diag([0.1, 0.1, 0.1]) ** 2)
+    mixture = builder.build(told)
+    assert mixture is not None
+    builder.remember(told, mixture, np.zeros(3))
+    assert not isinstance(builder.build(image), RepeatedMixture)

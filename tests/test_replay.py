@@ -20,7 +20,8 @@ from fieldloc.measurements import Compass, InitialPose, LandmarkScan, Odometry, 
 from fieldloc.pose import FloatArray
 from fieldloc.repetition import ErrorCorrelation
 from logs.reader import LogFile
-from logs.replay import Recording, Replay, load_recording, replay
+from logs.recording import Recording, load_recording
+from logs.replay import Replay, replay
 from logs.schema import Record, topic_of
 from logs.writer import LogWriter
 

@@ -18,7 +18,8 @@ from logs.comparison import compare
 from logs.estimates import write_estimates
 from logs.one_run import load_runs, run_names, score_runs
 from logs.reader import LogFile
-from logs.replay import load_recording, replay
+from logs.recording import load_recording
+from logs.replay import replay
 from logs.report import write_report
 from logs.results import ScoredLog, metrics_document
 from logs.schema import topic_of

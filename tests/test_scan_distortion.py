@@ -63,7 +63,7 @@ def walked(
         if mixture is not None:
             assert isinstance(mixture, ScanMixture)
             mixtures.append(mixture)
-            builder.remember(mixture, se2.retract(pose, 0.03 * random.standard_normal(3)))
+            builder.remember(scan, mixture, se2.retract(pose, 0.03 * random.standard_normal(3)))
     (one,) = builder.scan_noises()
     return one, builder, mixtures
 

@@ -264,7 +264,7 @@ def test_where_a_quarter_of_the_scans_are_wrong_so_may_be_the_next() -> None:
             scan = scan_of(POSE, nowhere if k % every == 3 else POSITIONS[:2], k * 10**9)
             seen = builder.build(scan)
             assert seen is not None
-            builder.remember(seen, POSE)
+            builder.remember(scan, seen, POSE)
         last = builder.build(scan_of(POSE, POSITIONS[:2], 200 * 10**9))
         assert isinstance(last, ScanMixture)
         right.append(float(np.exp(last.log_right - last.model.log_clutter.sum())))

@@ -65,7 +65,7 @@ def learned(
             scan = replace(scan, range_bearing=seen)
         mixture = builder.build(scan)
         assert mixture is not None
-        builder.remember(mixture, se2.retract(pose, 0.03 * random.standard_normal(3)))
+        builder.remember(scan, mixture, se2.retract(pose, 0.03 * random.standard_normal(3)))
     (one,) = builder.scan_noises()
     return one
 
@@ -147,9 +147,10 @@ def test_nobody_is_believed_to_be_far_better_than_he_says() -> None:
 def test_who_takes_the_log_at_its_word_learns_nothing() -> None:
     random = np.random.default_rng(2)
     builder = MixtureBuilder(FIELD, correlation=NEWS, noise=UNLEARNED)
-    mixture = builder.build(scan_of(0, np.zeros(3), AS_STATED, random))
+    scan = scan_of(0, np.zeros(3), AS_STATED, random)
+    mixture = builder.build(scan)
     assert mixture is not None
-    builder.remember(mixture, np.zeros(3))
+    builder.remember(scan, mixture, np.zeros(3))
     assert builder.scan_noises() == ()
 
 
@@ -163,9 +164,10 @@ def test_a_scan_says_what_its_sensor_was_found_to_be() -> None:
     )
     for k in range(200):
         pose = np.array([*random.uniform(-1.5, 1.5, 2), random.uniform(-3, 3)])
-        mixture = builder.build(scan_of(k * 500_000_000, pose, noise, random))
+        scan = scan_of(k * 500_000_000, pose, noise, random)
+        mixture = builder.build(scan)
         assert mixture is not None
-        builder.remember(mixture, pose)
+        builder.remember(scan, mixture, pose)
     scan = scan_of(10**12, np.zeros(3), noise, random)
     sure, unsure = builder.build(scan), fresh.build(scan)
     assert sure is not None

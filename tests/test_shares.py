@@ -19,7 +19,8 @@ from logs.comparison import compare
 from logs.estimates import write_estimates
 from logs.one_run import score_runs
 from logs.reader import LogFile
-from logs.replay import load_recording, replay
+from logs.recording import load_recording
+from logs.replay import replay
 from logs.report import write_report
 from logs.report.hypotheses_picture import hypotheses_picture
 from logs.report.moments import moments, span_ns

@@ -18,7 +18,8 @@ from fieldloc.errors import FieldlocError
 from fieldloc.measurements import Compass, ImageFeatures, InitialPose, Odometry, Truth
 from logs.evaluate import evaluate
 from logs.reader import LogFile
-from logs.replay import load_recording, replay
+from logs.recording import load_recording
+from logs.replay import replay
 from logs.simulate import SCENARIOS, SIMULATION, load_scenario, simulate
 from logs.simulate.delivery import Delivery
 from logs.simulate.game import BEGIN_NS

@@ -20,7 +20,8 @@ from fieldloc.field import FieldMap, load_field
 from fieldloc.measurements import LandmarkScan
 from fieldloc.pose import FloatArray
 from logs.calibrating import calibrate_recordings
-from logs.replay import Recording, replay
+from logs.recording import Recording
+from logs.replay import replay
 from logs.samples import sample_path
 from logs.surveying import landmark_table, on_one_map, survey, write_map
 

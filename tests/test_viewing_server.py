@@ -30,7 +30,8 @@ from fieldloc.field import FieldMap, Landmark, load_field
 from fieldloc.measurements import InitialPose, LandmarkScan, Odometry, Truth
 from logs.foxglove import topics
 from logs.reader import LogFile
-from logs.replay import Run, load_recording, replay
+from logs.recording import load_recording
+from logs.replay import Run, replay
 from logs.schema import BY_ROLE, Record, decode, topic_of
 from logs.source import Source
 from logs.viewing.scenes import TRUE_POSE, TRUE_WAY

@@ -80,7 +80,8 @@ def _localize(options: argparse.Namespace) -> None:
     from estimators.registry import ALL
     from logs.estimates import write_estimates
     from logs.output import output_file
-    from logs.replay import load_recording, replay
+    from logs.recording import load_recording
+    from logs.replay import replay
     from logs.result_streams import clock_offset_ns
 
     name, first = options.estimator, options.logs[0]

@@ -55,7 +55,8 @@ def _view(options: argparse.Namespace) -> None:
 
 def _serve(options: argparse.Namespace) -> None:
     from estimators.registry import ALL
-    from logs.replay import Run, load_recording
+    from logs.recording import load_recording
+    from logs.replay import Run
     from logs.viewing.server import Address, ServeOptions, serve
 
     log, run = open_log(options, options.logs), None
