@@ -9,7 +9,7 @@ import pytest
 from turf_drawings import exposed, turf, with_ellipse, with_spot, with_stripe
 
 from fieldloc.camera import Camera
-from fieldloc.vision import lines, rim
+from fieldloc.vision import lines, rim, white
 from fieldloc.vision.detect import detect
 from fieldloc.vision.detections import SeenLine
 from fieldloc.vision.picture import load_picture
@@ -48,6 +48,13 @@ def across(line: SeenLine, first, last, widths=(0.0, 0.0)):
     normal = np.array([-along[1], along[0]])
     gain = np.kron(np.eye(2), normal)
     return (line.ends_px - first) @ normal, gain @ line.covariance_px2 @ gain.T
+
+
+@pytest.mark.parametrize("height", [60, 61])
+def test_scan_lines_are_what_a_resize_makes_of_a_picture(rng, height):
+    grey = rng.integers(0, 256, (height, 50), dtype=np.uint8)
+    expected = cv2.resize(grey, (50, height // white.SCAN_STEP_PX), interpolation=cv2.INTER_AREA)
+    assert np.array_equal(white._scan_lines(grey), expected)
 
 
 @pytest.mark.parametrize("width_px", [3.0, 6.0, 20.0])

@@ -3,7 +3,7 @@ import pytest
 from turf_drawings import exposed, turf, with_stripe
 
 from fieldloc.colours import COLOURS, FieldColours
-from fieldloc.vision.turf import find_turf
+from fieldloc.vision.turf import Turf, find_turf
 
 
 @pytest.fixture
@@ -80,6 +80,21 @@ def test_points_beside_the_picture_or_nowhere_are_not_turf():
     found = find_turf(np.full((480, 640, 3), (50, 140, 60), np.uint8))
     assert not found.at(np.array([[-2.0, 5.0], [640.0, 5.0], [3.0, 480.0], [np.nan, 4.0]])).any()
     assert found.at(np.array([[0.0, 0.0], [639.0, 479.0]])).all()
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0, 3.75])
+def test_every_point_has_the_colour_of_the_pixel_of_the_mask_it_is_in(rng, scale):
+    mask = rng.random((24, 32)) < 0.5
+    field = Turf(mask, np.array([scale, scale]), np.array([[-0.5, -0.5], [31.5, -0.5]]), np.zeros(3))
+    inside = np.nextafter(np.arange(1.0, 33.0), 0.0)  # at the far end of each pixel, by rounding in the next
+    u = np.concatenate([np.arange(32.0), inside, [-1e-9, 32.0]])
+    v = np.concatenate([np.arange(24.0), inside[:24], [-1e-9, 24.0]])
+    expected = [[0 <= x < 32 and 0 <= y < 24 and mask[int(y), int(x)] for x in u] for y in v]
+    got = field.at_uv(u * scale - 0.5, (v * scale - 0.5)[:, None])
+    if scale == 1.0:  # else the last bit is lost on the way
+        assert np.array_equal(got, expected)
+    assert np.array_equal(got[:24, :32], mask)
+    assert np.array_equal(got, field.at(np.stack(np.meshgrid(u * scale - 0.5, v * scale - 0.5), axis=-1)))
 
 
 def test_a_post_right_before_the_camera_is_not_the_field(rng):

@@ -22,26 +22,24 @@ def ellipse_of(arcs: list[FloatArray], view: View) -> Ellipse | None:
     if len(arcs) < _LEAST_ARCS:
         return None
     choices = [some for count in (2, 3) for some in combinations(range(len(arcs)), count)]
-    on = [_on(start, arcs) for start in fit_ellipses([arc[:, :2] for arc in arcs], choices) if start is not None]
-    best, most = None, 0
-    for chosen in dict.fromkeys(tuple(there) for there in on):
-        table = np.concatenate([arcs[n] for n in chosen]) if len(chosen) >= _LEAST_ARCS else np.zeros((0, 3))
-        if len(table) <= most:
-            continue
-        ellipse = fit_ellipse(table[:, :2])
-        ellipse = ellipse and fit_ellipse(table[:, :2], ellipse.weights(table[:, :2]))
-        if ellipse is None or not set(chosen) <= set(_on(ellipse, arcs)):
-            continue
-        if is_seen(ellipse, table[:, :2], _NEAR_PX + _NEAR_SHARE * table[:, 2], view):
-            best, most = ellipse, len(table)
-    return best
-
-
-def _on(ellipse: Ellipse, arcs: list[FloatArray]) -> list[int]:
-    """Which of the arcs are on an ellipse."""
+    table = np.concatenate(arcs)
     sizes = np.array([len(arc) for arc in arcs])
     begins = np.cumsum(sizes) - sizes
-    table = np.concatenate(arcs)
-    rough = np.sqrt(np.add.reduceat(ellipse.distance(table[:, :2]) ** 2, begins) / sizes)
     near = _NEAR_PX + _NEAR_SHARE * np.add.reduceat(table[:, 2], begins) / sizes
-    return np.flatnonzero(rough < near).tolist()
+
+    def on(ellipse: Ellipse) -> tuple[int, ...]:
+        """Which of the arcs are on an ellipse."""
+        off = ellipse.distance(table[:, :2])
+        return tuple(np.flatnonzero(np.add.reduceat(off * off, begins) < near * near * sizes).tolist())
+
+    starts = fit_ellipses([arc[:, :2] for arc in arcs], choices)
+    fits = [some for some in dict.fromkeys(on(one) for one in starts if one is not None) if len(some) >= _LEAST_ARCS]
+    for chosen in sorted(fits, key=lambda some: -sum(len(arcs[n]) for n in some)):
+        part = np.concatenate([arcs[n] for n in chosen])
+        ellipse = fit_ellipse(part[:, :2])
+        ellipse = ellipse and fit_ellipse(part[:, :2], ellipse.weights(part[:, :2]))
+        if ellipse is None or not set(chosen) <= set(on(ellipse)):
+            continue
+        if is_seen(ellipse, part[:, :2], _NEAR_PX + _NEAR_SHARE * part[:, 2], view):
+            return ellipse
+    return None

@@ -61,7 +61,7 @@ def chains_of(runs: Runs) -> tuple[list[FloatArray], list[FloatArray]]:
     roots = link(runs)
     order = np.lexsort((runs.scan, roots))
     borders = [0, *(np.flatnonzero(np.diff(roots[order])) + 1).tolist(), len(order)]
-    table = np.column_stack([runs.points(runs.middle_px), runs.last_px - runs.first_px])[order]
+    table = np.column_stack([*runs.pixels(runs.middle_px), runs.last_px - runs.first_px])[order]
     spans = [(begin, end) for begin, end in pairwise(borders) if end - begin >= 2]
     last_down = np.count_nonzero(runs.down)  # chains are in the order of their first runs
     down, across = (

@@ -14,13 +14,14 @@ def find_corners(lines: tuple[SeenLine, ...], plane: Plane) -> tuple[SeenCorner,
     """The corners of lines in the picture, straight in the plane."""
     if len(lines) < 2:
         return ()
-    ends = plane.from_picture(np.stack([line.ends_px for line in lines]))
+    ends = plane.from_picture(np.array([line.ends_px for line in lines]))
     along = ends[:, 1] - ends[:, 0]
     length = np.hypot(along[:, 0], along[:, 1])
     along = along / length[:, None]
     normals = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    width = np.stack([line.width_px for line in lines])
-    pairs = np.stack(np.triu_indices(len(lines), 1), axis=1)
+    width = np.array([line.width_px for line in lines])
+    number = np.arange(len(lines))
+    pairs = np.argwhere(number[:, None] < number)
     first, second = normals[pairs[:, 0]], normals[pairs[:, 1]]
     turned = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     kept = np.abs(turned) >= _LEAST_RAD
@@ -43,7 +44,7 @@ def find_corners(lines: tuple[SeenLine, ...], plane: Plane) -> tuple[SeenCorner,
     at_ends = np.broadcast_to(both[:, :, None], (*both.shape[:2], 2, 2))
     _, across, _ = plane.normals_in_picture(ends[pairs], at_ends)
     gain = (np.stack([1.0 - share, share], axis=-1)[..., None] * across).reshape(-1, 2, 1, 4)
-    errors = np.stack([line.covariance_px2 for line in lines])[pairs]
+    errors = np.array([line.covariance_px2 for line in lines])[pairs]
     variance = (gain @ errors @ gain.transpose(0, 1, 3, 2))[..., 0]
     inverse = np.linalg.inv(vectors)
     covariance = inverse @ (variance * inverse.transpose(0, 2, 1))

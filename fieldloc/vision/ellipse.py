@@ -74,7 +74,7 @@ def fit_ellipse(points: FloatArray, weights: FloatArray | None = None) -> Ellips
 def fit_ellipses(parts: list[FloatArray], choices: Sequence[tuple[int, ...]]) -> list[Ellipse | None]:
     """As `fit_ellipse`, through each choice of the parts' points (n, 2) together."""
     frame = _frame(np.concatenate(parts))
-    products = np.stack([_products(part, *frame) for part in parts])
+    products = np.array([_products(part, *frame) for part in parts])
     counts = [sum(len(parts[n]) for n in choice) for choice in choices]
     fitted = _ellipses(np.stack([products[list(choice)].sum(axis=0) for choice in choices]), *frame)
     return [one if count >= 6 else None for one, count in zip(fitted, counts, strict=True)]

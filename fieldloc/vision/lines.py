@@ -158,7 +158,7 @@ def _middles(
 
 def _without_outliers(found: Middles) -> Middles:
     """Leaves out middles and widths that stand apart from those of the same line."""
-    good, values = found.used, np.stack([found.off, found.width])
+    good, values = found.used, np.array([found.off, found.width])
     for _ in range(4):
         count = np.count_nonzero(found.used, axis=1)
         off = np.abs(values - found.fit(values).at(found.place))
@@ -178,7 +178,7 @@ def _moved(segments: Segments, found: Middles) -> Segments:
     lengths = segments.lengths
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / lengths[:, None]
     ends = np.stack([np.zeros(len(lengths)), lengths], axis=1)
-    off, width = found.fit(np.stack([found.off, found.width])).at(ends)
+    off, width = found.fit(np.array([found.off, found.width])).at(ends)
     some = found.used.sum(axis=1) >= _LEAST_USED
     width = np.where(some[:, None], np.maximum(width, 0.5 * segments.width_px), segments.width_px)
     off = np.where(some[:, None], off, 0.0)
@@ -201,7 +201,7 @@ def _are_lines(found: Middles, least_length_px: float, bent_px: FloatArray) -> t
     between = (found.place >= ends[:, :1]) & (found.place <= ends[:, 1:])
     bare = np.count_nonzero(between & found.bare & ~found.used, axis=1)
     x = 2.0 * (found.place - ends[:, :1]) / np.maximum(length, 1.0)[:, None] - 1.0
-    rest, bow = found.rest(np.stack([found.off, x * x]))
+    rest, bow = found.rest(np.array([found.off, x * x]))
     count = np.maximum(count, 1)
     # A parabola beside the straight line: what is left of the middles then is their noise, alike in neighbours.
     power = np.maximum((bow * bow).sum(axis=1), 1e-9)
@@ -234,7 +234,7 @@ def _seen(ends: FloatArray, found: Middles, plane: Plane, turf: Turf, height: in
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     at = _ends_of(found)
     count = found.used.sum(axis=1)
-    values = np.stack([found.off, found.width])
+    values = np.array([found.off, found.width])
     line = found.fit(values)
     rest, wide = (values - line.at(found.place)) * found.used
     off_at, width_at = line.at(at)

@@ -22,6 +22,7 @@ from fieldloc.vision.turf import Turf
 _LEAST_WHOLE, _LEAST_CUT = 0.65, 0.7  # scores of posts with both ends in the picture, and of others
 _LEAST_ALONE, _LEAST_MATE = 0.5, 0.4  # where nothing scores more; where another post's crossbar leads there
 _MOST, _FEW = 4, 3  # posts in a picture, the likeliest
+_LOWER_MIDDLE = np.kron([[0.0, 0.5, 0.0, 0.5]], np.eye(2))  # of a post's four ends
 _DEFAULTS = FieldColours()
 
 
@@ -71,14 +72,12 @@ def _seen(picture: UInt8Array, upright: Upright, edges: FittedEdges, turf: Turf,
     ends = (top[0] if top else rows[0]), (foot[0] if foot else rows[1])
     pixels, covariance = _ends(edges, lines, ends, plane)
     outer = slice(0, 2) if bar_right else slice(4, 6)
-    half = 0.5 * np.hstack([np.eye(2), np.eye(2)])
-    lower = [2, 3, 6, 7]
     return SeenPost(
         pixels[0],
         pixels[1],
         covariance,
         0.5 * (pixels[0, 1] + pixels[1, 1]) if foot else None,
-        half @ covariance[np.ix_(lower, lower)] @ half.T + np.diag([0.0, foot[1]]) if foot else None,
+        _LOWER_MIDDLE @ covariance @ _LOWER_MIDDLE.T + np.diag([0.0, foot[1]]) if foot else None,
         pixels[0 if bar_right else 1, 0] if top else None,
         covariance[outer, outer] + np.diag([0.0, top[1]]) if top else None,
     )
@@ -106,14 +105,13 @@ def _ends(
 ) -> tuple[FloatArray, FloatArray]:
     """(2, 2, 2) upper and lower end of the left and of the right edge, and the covariance (8, 8) of all across them."""
     v = np.array(ends)
-    pixels = np.stack([_points(edges, side, v, plane) for side in (0, 1)])
+    pixels = np.array([_points(edges, side, v, plane) for side in (0, 1)])
     spread = np.zeros((8, 4))  # from the edges' four numbers to the eight of their ends
     for side in (0, 1):
         normal = np.array([1.0, -lines[side][1]]) / np.hypot(1.0, lines[side][1])
         at = plane.from_picture(pixels[side])
         nudge = np.array([0.5, 0.0])
         moved = (plane.to_picture(at + nudge) - plane.to_picture(at - nudge)) @ normal
-        for n, y in enumerate(at[:, 1] - edges.centre):
-            begin = 4 * side + 2 * n
-            spread[begin : begin + 2, 2 * side : 2 * side + 2] = moved[n] * np.outer(normal, [1.0, y])
+        own = np.stack([np.ones(2), at[:, 1] - edges.centre], axis=1) * moved[:, None]
+        spread[4 * side : 4 * side + 4, 2 * side : 2 * side + 2] = (own[:, None] * normal[:, None]).reshape(4, 2)
     return pixels, spread @ edges.covariance @ spread.T

@@ -48,9 +48,10 @@ def _shares(strips: Strips, view: View, under_v: FloatArray, own: FloatArray) ->
     lean = (_SLOPES[:, None] * (_PLACES * width)[:, None])[:, None, :, None]
     middle = (under_v.T[:, :, None] + _JITTER * width)[:, :, :, None, None, None] + lean - 0.5 * thick
     beyond = 0.5 * thick + 0.35 * width[..., None, None, None] + 1.0
-    u = np.broadcast_to(np.stack([left, right])[:, :, None, None, None], middle.shape)
-    visible = view.contains(u, middle - beyond) & view.contains(u, middle + beyond)
-    above, inside, below = view.likeness_at(u, np.stack([middle - beyond, middle, middle + beyond]))
+    u = np.array([left, right])[:, :, None, None, None]
+    rows = np.array([middle - beyond, middle, middle + beyond])
+    visible = view.contains(u, rows[0]) & view.contains(u, rows[2])
+    above, inside, below = view.likeness_at(u, rows)
     outside = np.maximum(above, below)
     # a bar is lit from another side than a post
     least = np.minimum(own - 0.6 * strips.contrast, 0.65 * own)[:, None, None, None, None]

@@ -66,15 +66,15 @@ def likeness(picture: UInt8Array, colour: Colour) -> UInt8Array:
     direction = _hue_direction(colour)
     if direction is not None:
         return np.asarray(cv2.transform(picture, direction[None]), dtype=np.uint8)
-    blue, green, red = cv2.split(picture)
+    blue, green, red = picture[..., 0], picture[..., 1], picture[..., 2]
     if max(colour) > 127:
-        return np.asarray(cv2.min(cv2.min(blue, green), red), dtype=np.uint8)
-    return np.asarray(255 - cv2.max(cv2.max(blue, green), red), dtype=np.uint8)
+        return np.asarray(np.minimum(np.minimum(blue, green), red))
+    return np.asarray(255 - np.maximum(np.maximum(blue, green), red))
 
 
 def nearest(picture: UInt8Array, u: FloatArray, v: FloatArray) -> UInt8Array:
     """(..., c) or (...,) the nearest pixels to points, those of the border beside the picture."""
-    shape = np.broadcast_shapes(u.shape, v.shape)
+    shape = np.broadcast(u, v).shape
     if not math.prod(shape):
         return np.zeros(shape + picture.shape[2:], dtype=np.uint8)
     places = np.empty((2, *shape), dtype=np.float32)

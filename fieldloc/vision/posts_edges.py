@@ -72,11 +72,11 @@ def band_about(picture: UInt8Array, turf: Turf, colour: Colour) -> Band | None:
 
 def upright_edges(band: Band) -> tuple[Edges, Edges]:
     """Where, from left to right, a post's colour begins, and where it ends."""
-    change = np.asarray(cv2.Sobel(band.likeness, cv2.CV_16S, 1, 0, ksize=3), dtype=np.int16)
-    across = np.abs(np.asarray(cv2.Sobel(band.likeness, cv2.CV_16S, 0, 1, ksize=3), dtype=np.int16))
+    change, downwards = (np.asarray(one, dtype=np.int16) for one in cv2.spatialGradient(band.likeness))
+    across = np.abs(downwards)
     sample = np.abs(change[::3, ::3]).ravel()
     quiet = int(_QUIET * (sample.size - 1))
-    least = max(_LEAST_CHANGE, float(np.partition(sample, quiet)[quiet]))
+    least = max(_LEAST_CHANGE, float(np.searchsorted(np.cumsum(np.bincount(sample)), quiet, side="right")))
     parts = [_ridges(change, across, least), _ridges(-change, across, least)]
     count = int(parts[0][2].max(initial=-1)) + 1
     u, v = (np.concatenate([part[n] for part in parts]) for n in (0, 1))

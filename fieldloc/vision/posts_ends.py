@@ -77,7 +77,7 @@ def _has_turf_below(edges: Lines, foot_v: float, turf: Turf) -> bool:
     """A line may come first, but what hides a foot goes on."""
     v = foot_v + 2.0 + np.arange(_ROWS_BELOW) / (_ROWS_BELOW - 1) * (2.0 + _LINE * max(_width(edges, foot_v), 0.0))
     u = 0.5 * (edges[0][0] + edges[1][0] + (edges[0][1] + edges[1][1]) * v)
-    return bool(np.count_nonzero(turf.at(np.stack([u, v], axis=1))) >= _ROWS_BELOW // 3)
+    return bool(np.count_nonzero(turf.at_uv(u, v)) >= _ROWS_BELOW // 3)
 
 
 def _hue_change(picture: UInt8Array, edges: Lines, foot_v: float, own: FloatArray, turf: FloatArray) -> float | None:

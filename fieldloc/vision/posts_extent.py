@@ -13,6 +13,7 @@ from fieldloc.vision.turf import Mask, Turf
 _SAMPLES = 56  # along a strip and what may be above and below it
 _SHARES = np.linspace(0.0, 1.0, _SAMPLES)
 _FINE = np.linspace(-1.0, 1.0, 11)  # steps about where it ends above
+_INNER = np.array([0.3, 0.5, 0.7])[:, None, None]  # shares of the width at which the inside is looked at
 _REACH = 1.5, 9.0  # up and down from the strip, in its lengths and its widths
 _GAP = 0.15  # of a strip's length that may be hidden within it
 _LEAST_BELOW = 0.5  # of the way down to the foot on which there is an edge
@@ -45,13 +46,13 @@ def extent_of(strips: Strips, view: View, turf: Turf, own: FloatArray) -> Extent
 
     left, right = strips.left_at(v), strips.right_at(v)
     aside = strips.aside_px[:, None]
-    u = np.stack([left - aside, *(left + share * (right - left) for share in (0.3, 0.5, 0.7)), right + aside])
+    u = np.array([left - aside, *(left + _INNER * (right - left)), right + aside])
     pixels = nearest(view.picture, u, v)
     middle = pixels[1:4].sum(axis=0, dtype=np.float32) / np.float32(3.0)
     darker, other, like_sides = _edges_seen(strips, view, own, middle, view.likeness(pixels[[0, 4]]))
     tops = _at(v, _reached(np.concatenate([darker, other]), start, gap, -1))
     # a line before the foot is of a post's colour, and so is what is beside it
-    turfy = turf.at(np.stack([u[2], v], axis=-1))
+    turfy = turf.at_uv(u[2], v)
     grassy = _grassy(middle, own, turf) | (like_sides & turfy)
     # another thing may hide a part of a post, but never turf
     lower = ~grassy & (_total(middle) > _DARKEST * _total(own)[:, None])
@@ -71,14 +72,14 @@ def _finer(strips: Strips, view: View, own: FloatArray, tops: FloatArray, step: 
     left = strips.left[:, :1] + strips.left[:, 1:] * near
     right = strips.right[:, :1] + strips.right[:, 1:] * near
     aside = strips.aside_px[:, None]
-    beside = np.stack([left[0] - aside, right[1] + aside])
-    u = np.stack([beside, *(left + share * (right - left) for share in (0.3, 0.5, 0.7))])
+    beside = np.array([left[0] - aside, right[1] + aside])
+    u = np.array([beside, *(left + _INNER[..., None] * (right - left))])
     pixels = nearest(view.picture, u, near)
     middle = pixels[1:].sum(axis=0, dtype=np.float32) / np.float32(3.0)
     off = ~_edges_seen(strips, view, own, middle, view.likeness(pixels[0]))[0]
     last = len(_FINE) - 1
     lowest = last - off[..., ::-1].argmax(axis=-1)
-    edge = np.take_along_axis(near, np.minimum(lowest + 1, last)[..., None], axis=-1)[..., 0]
+    edge = _each_at(near, np.minimum(lowest + 1, last))
     return np.where(off.any(axis=-1), edge, tops)
 
 
@@ -120,6 +121,12 @@ def _at(v: FloatArray, index: NDArray[np.intp]) -> FloatArray:
     return np.asarray(v[np.arange(len(v)), index])
 
 
+def _each_at(values: NDArray[np.generic], index: NDArray[np.intp]) -> NDArray[np.generic]:
+    """(...) of values (..., k) what the index (...) says."""
+    flat = values.reshape(-1, values.shape[-1])
+    return np.asarray(flat[np.arange(len(flat)), index.ravel()].reshape(index.shape))
+
+
 def _reached(good: Mask, start: NDArray[np.intp], gap: NDArray[np.intp], step: int) -> NDArray[np.intp]:
     """(..., n) the last good one of (..., n, k) from the start (n,) on, up (-1) or down (+1), but for short gaps."""
     last = good.shape[-1] - 1
@@ -129,4 +136,4 @@ def _reached(good: Mask, start: NDArray[np.intp], gap: NDArray[np.intp], step: i
     latest = np.maximum.accumulate(np.where(good & (place >= first), place, first), axis=-1)
     stopped = place - latest > gap[:, None]
     end = np.where(stopped.any(axis=-1), stopped.argmax(axis=-1), last)
-    return np.asarray(np.take_along_axis(latest, end[..., None], axis=-1)[..., 0])
+    return np.asarray(_each_at(latest, end))

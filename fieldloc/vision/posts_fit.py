@@ -22,6 +22,7 @@ _BLOCKS = 6  # of rows along a post
 _LEAST_BLOCKS = 4  # in which both edges are found
 _MOST_ROWS = 8  # of a block
 _SAMPLES = 30  # across
+_ACROSS = np.linspace(-1.0, 1.0, _SAMPLES)
 _MARGIN = 0.5  # of the width, beside either edge
 _MARGIN_PX = 3.5, 12.0
 _INSIDE_PX = 1.5  # what must be seen beside an edge; beyond the picture its border goes on
@@ -94,12 +95,11 @@ def _sample(picture: UInt8Array, post: RoughPost) -> _Sampled | None:
     width = post.width_px
     if last - first < _BLOCKS or width < 1.0:
         return None
-    v = np.linspace(first, last, _BLOCKS * int(np.clip((last - first) / _BLOCKS, 1, _MOST_ROWS)))
+    v = np.linspace(first, last, _BLOCKS * int(min(max((last - first) / _BLOCKS, 1.0), _MOST_ROWS)))
     middle = 0.5 * (post.left[0] + post.right[0] + (post.left[1] + post.right[1]) * v)
     # by perspective posts get wider or narrower along them, by little
     scale = (post.right[0] - post.left[0] + (post.right[1] - post.left[1]) * v) / width
-    beside = float(np.clip(_MARGIN * width, *_MARGIN_PX))
-    at = np.linspace(-0.5 * width - beside, 0.5 * width + beside, _SAMPLES)
+    at = _ACROSS * (0.5 * width + min(max(_MARGIN * width, _MARGIN_PX[0]), _MARGIN_PX[1]))
     u = middle[:, None] + scale[:, None] * at
     half = 0.5 * scale * width
     if (middle - half).min() < _INSIDE_PX or (middle + half).max() > columns - 1 - _INSIDE_PX:
@@ -107,7 +107,7 @@ def _sample(picture: UInt8Array, post: RoughPost) -> _Sampled | None:
     both = [one.reshape(_BLOCKS, -1, _SAMPLES, 3).mean(axis=1) for one in _between_pixels(picture, u, v)]
     values = [one @ _direction(one, at, width) for one in both]
     place, scale, middle = (one.reshape(_BLOCKS, -1).mean(axis=1) for one in (v, scale, middle))
-    return _Sampled(np.stack([*values, values[0]]), at, width, scale, middle, place)
+    return _Sampled(np.array([*values, values[0]]), at, width, scale, middle, place)
 
 
 def _between_pixels(picture: UInt8Array, u: FloatArray, v: FloatArray) -> list[FloatArray]:
@@ -131,14 +131,16 @@ def _direction(numbers: FloatArray, at: FloatArray, width: float) -> FloatArray:
 def _lines(profiles: Profiles, posts: list[_Sampled], plane: Plane) -> list[FittedEdges | None]:
     shape = len(posts), 3, _BLOCKS
     edges = profiles.edges.reshape(*shape, 2)
-    place = np.stack([post.place for post in posts])[:, None, :, None]
-    middle = np.stack([post.middle for post in posts])[:, None, :, None]
-    scale = np.stack([post.scale for post in posts])[:, None, :, None]
+    place = np.array([post.place for post in posts])[:, None, :, None]
+    middle = np.array([post.middle for post in posts])[:, None, :, None]
+    scale = np.array([post.scale for post in posts])[:, None, :, None]
     u = middle + scale * edges
     points = plane.from_picture(np.stack([u, np.broadcast_to(place, u.shape)], axis=-1))
     points = points.transpose(0, 1, 3, 2, 4)  # post, way of fitting, side, block
-    good = profiles.good.reshape(shape)[:, :, None] & np.isfinite(points).all(axis=-1)
-    centre = np.nanmean(points[..., 1], axis=(1, 2, 3))
+    exists = np.isfinite(points).all(axis=-1)
+    good = profiles.good.reshape(shape)[:, :, None] & exists
+    count = np.maximum(np.count_nonzero(exists, axis=(1, 2, 3)), 1)
+    centre = np.where(exists, points[..., 1], 0.0).sum(axis=(1, 2, 3)) / count
     variance = profiles.variance.reshape(*shape, 2).transpose(0, 1, 3, 2)
     weight = np.where(good, 1.0 / (np.where(good, variance, 1.0) + 1e-4), 0.0)
     x, y = np.where(good, points[..., 0], 0.0), np.where(good, points[..., 1] - centre[:, None, None, None], 0.0)
@@ -167,7 +169,7 @@ def _robust(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArra
     robust = np.ones_like(weight)
     count = np.count_nonzero(weight, axis=-1)
     middle = np.maximum(count - 1, 0)[..., None] // 2
-    terms = np.stack([np.ones_like(y), y, y * y, x, x * y])
+    terms = np.array([np.ones_like(y), y, y * y, x, x * y])
     for step in range(_STEPS):
         both = weight * robust
         mass, first, second, side, cross = (both * terms).sum(axis=-1)

@@ -47,7 +47,7 @@ class Strips:
     @property
     def aside_px(self) -> FloatArray:
         """(n,) how far beside an edge its side is looked at."""
-        return np.clip(0.35 * self.width_px, 2.0, 8.0)
+        return np.minimum(np.maximum(0.35 * self.width_px, 2.0), 8.0)
 
 
 def pairs_of(begins: Edges, ends: Edges, band: Band, turf: Turf, width_px: int) -> Strips:
@@ -112,9 +112,9 @@ def _uniform(strips: Strips, band: Band) -> Strips:
     """Those of one colour inside that neither side has, the clearest first."""
     v = strips.rows[:, :1] + (strips.rows[:, 1:] - strips.rows[:, :1]) * _HEIGHTS
     left, right = strips.left_at(v), strips.right_at(v)
-    aside = np.clip(0.3 * strips.width_px, 1.5 * band.scale[0], 6.0 * band.scale[0])[:, None]
-    within = np.clip(_BLUR_PX / strips.width_px, 0.2, 0.4)[:, None] * (right - left)
-    outmost = np.stack([left - aside, left + within, right - within, right + aside])
+    aside = np.minimum(np.maximum(0.3 * strips.width_px, 1.5 * band.scale[0]), 6.0 * band.scale[0])[:, None]
+    within = np.minimum(np.maximum(_BLUR_PX / strips.width_px, 0.2), 0.4)[:, None] * (right - left)
+    outmost = np.array([left - aside, left + within, right - within, right + aside])
     values = band.at(outmost, v)
     contrast = np.minimum(_median(values[1] - values[0]), _median(values[2] - values[3]))
     clear = np.flatnonzero(contrast > 5.0)

@@ -54,7 +54,7 @@ def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Ma
         if step == 0:
             normal = basis @ basis.transpose(0, 2, 1) + 1e-6 * np.eye(5)
             linear = np.linalg.solve(normal, basis @ values[..., None])[..., 0] * free[:, 3:]
-        jacobian[:, :3] = _moves(z, density, half, state, linear)
+        _fill_in_moves(jacobian, z, density, half, state, linear)
         residual = values - (linear[:, None] @ basis)[:, 0]
         if step > 1:  # what is no step and no parabola counts little
             scale = 1.5 + 1.5 * np.mean(np.abs(residual), axis=1, keepdims=True)
@@ -64,12 +64,12 @@ def fit_profiles(values: FloatArray, at: FloatArray, width: FloatArray, flat: Ma
         diagonal = np.diagonal(system, axis1=1, axis2=2)
         damped = system + np.eye(_UNKNOWNS) * (_DAMPING * diagonal + 1e-6)[..., None]
         change = np.linalg.solve(damped, weighted @ residual[..., None])[..., 0] * free
-        state = state + np.clip(change[:, :3], -reach / 3.0, reach / 3.0)
-        state[:, 2] = np.clip(state[:, 2], *_BLUR_PX)
+        state = state + np.minimum(np.maximum(change[:, :3], -reach / 3.0), reach / 3.0)
+        state[:, 2] = np.minimum(np.maximum(state[:, 2], _BLUR_PX[0]), _BLUR_PX[1])
         linear = linear + change[:, 3:]
     noise = (weight * residual**2).sum(axis=1) / np.maximum(weight.sum(axis=1) - _UNKNOWNS, 1.0)
-    inverse = np.linalg.inv(system + np.eye(_UNKNOWNS) * (1e-6 * diagonal + 1e-9)[..., None])
-    variance = np.diagonal(inverse, axis1=1, axis2=2)[:, :2] * noise[:, None]
+    inverse = np.linalg.solve(system + np.eye(_UNKNOWNS) * (1e-6 * diagonal + 1e-9)[..., None], np.eye(_UNKNOWNS, 2))
+    variance = np.diagonal(inverse, axis1=1, axis2=2) * noise[:, None]
     near = (np.abs(state[:, :2] - np.concatenate([-half, half], axis=1)) < reach).all(axis=1)
     good = near & np.isfinite(variance).all(axis=1) & (variance > 0.0).all(axis=1) & (state[:, 1] > state[:, 0])
     return Profiles(state[:, :2], variance, good)
@@ -98,10 +98,14 @@ def _parts(
     return out, z, density
 
 
-def _moves(z: FloatArray, density: FloatArray, half: FloatArray, state: FloatArray, linear: FloatArray) -> FloatArray:
-    """(k, 3, s) a profile's derivatives by left, right and blur."""
+def _fill_in_moves(
+    jacobian: FloatArray, z: FloatArray, density: FloatArray, half: FloatArray, state: FloatArray, linear: FloatArray
+) -> None:
+    """The first three of a profile's derivatives (k, 8, s): by left, right and blur."""
     edges, sigma = state[:, :2, None], state[:, 2:3, None]
     level = edges / half[..., None]
     inside = linear[:, 2:3, None] + (linear[:, 3:4, None] + linear[:, 4:5, None] * level) * level
     step = (inside - linear[:, :2, None]) * density / sigma
-    return np.stack([-step[:, 0], step[:, 1], step[:, 1] * z[:, 1] - step[:, 0] * z[:, 0]], axis=1)
+    jacobian[:, 0], jacobian[:, 1] = -step[:, 0], step[:, 1]
+    step *= z
+    jacobian[:, 2] = step[:, 1] - step[:, 0]

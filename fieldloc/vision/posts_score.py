@@ -12,6 +12,7 @@ from fieldloc.vision.posts_pairs import Strips
 from fieldloc.vision.turf import Turf
 
 _ROWS = np.linspace(0.03, 0.97, 24)  # shares of the height at which the light is looked at
+_ACROSS = np.array([0.25, 0.5, 0.75])[:, None, None]  # shares of the width there
 _CLEAR = 0.5  # at most, for contrast as a share of a post's own light
 _EVEN, _UNEVEN = 0.4, 0.1  # for even light; its scatter, as a share, that speaks neither for nor against
 _BEHIND, _AT_BORDER = 0.1, 0.3  # widths of turf behind a foot; against less
@@ -37,7 +38,7 @@ def _unevenness(strips: Strips, view: View, top_v: FloatArray, foot_v: FloatArra
     """(n,) scatter of the light along the inside, as a share of it."""
     v = top_v[:, None] + (foot_v - top_v)[:, None] * _ROWS
     left, right = strips.left_at(v), strips.right_at(v)
-    inside = view.likeness_at(np.stack([left + share * (right - left) for share in (0.25, 0.5, 0.75)]), v).mean(axis=0)
+    inside = view.likeness_at(left + _ACROSS * (right - left), v).mean(axis=0)
     return np.asarray(inside.std(axis=1) / np.maximum(inside.mean(axis=1), 1.0))
 
 

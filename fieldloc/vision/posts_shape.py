@@ -32,6 +32,7 @@ _WIDEST_GOAL = 3.0  # by its height
 _NEARLY, _FAR = 0.2, 1.5  # of a score; of contrasts
 _UNLIKE = 2.0  # times slimmer or stouter than the clearest post of the picture
 _ALONG = np.linspace(0.05, 0.95, 9)  # shares of the rows with both edges, at which the inside is looked at
+_INNER = np.array([0.3, 0.5, 0.7])[:, None, None]  # shares of the width at which it is looked at there
 _UPPER = np.linspace(0.05, 0.35, 4)  # shares of the height, from above, at which flanks are looked at
 _BESIDE_TOP = 0.5  # of the points beside the upper part may be turf
 
@@ -185,7 +186,7 @@ def _of_colour(strips: Strips, view: View, turf: Turf) -> tuple[Strips, FloatArr
         return strips, np.zeros((0, 3))
     v = strips.rows[:, :1] + (strips.rows[:, 1:] - strips.rows[:, :1]) * _ALONG
     left, right = strips.left_at(v), strips.right_at(v)
-    inside = np.stack([left + f * (right - left) for f in (0.3, 0.5, 0.7)])
+    inside = left + _INNER * (right - left)
     own = np.sort(view.colours_at(inside, v).mean(axis=0), axis=1)[:, v.shape[1] // 2]
     good = view.has_hue(own)
     if min(view.colour) > 127:
@@ -198,9 +199,9 @@ def _standing(strips: Strips, foot_v: FloatArray, length: FloatArray, turf: Turf
     """(n,) the share of turf beneath each foot, at the depth where it is greatest; 1 where the picture ends there."""
     width = np.maximum(strips.width_px, 3.0)
     depth = [np.full_like(width, 3.0), 0.4 * width + 2.0, 0.8 * width + 2.0, 0.15 * length + 3.0, 0.3 * length + 4.0]
-    v = foot_v[:, None] + np.stack(depth, axis=1)
+    v = foot_v[:, None] + np.array(depth).T
     u = strips.left_at(v)[..., None] + width[:, None, None] * np.array([-0.6, 0.0, 0.5, 1.0, 1.6])
-    share = turf.at(np.stack([u, np.broadcast_to(v[..., None], u.shape)], axis=-1)).mean(axis=-1)
+    share = turf.at_uv(u, v[..., None]).mean(axis=-1)
     inside = v < height - 1
     return np.where(inside.sum(axis=1) < 2, 1.0, np.where(inside, share, 0.0).max(axis=1, initial=0.0))
 
@@ -209,5 +210,5 @@ def _flanks(strips: Strips, top_v: FloatArray, foot_v: FloatArray, turf: Turf) -
     """(n,) the share of turf beside the upper part."""
     v = top_v[:, None] + _UPPER * (foot_v - top_v)[:, None]
     aside = 2.0 + 0.5 * np.maximum(3.0, strips.width_px)[:, None]
-    u = np.stack([strips.left_at(v) - aside, strips.right_at(v) + aside])
-    return np.asarray(turf.at(np.stack([u, np.broadcast_to(v, u.shape)], axis=-1)).mean(axis=(0, 2)))
+    u = np.array([strips.left_at(v) - aside, strips.right_at(v) + aside])
+    return np.asarray(turf.at_uv(u, v).mean(axis=(0, 2)))

@@ -75,7 +75,7 @@ def measure(grey: UInt8Array, centres: FloatArray, normals: FloatArray, width_px
     width = away[0] + away[1]
     step = white - np.maximum(level[0], level[1])
     # The picture may end beside a line, but not before its turf has been seen.
-    reach = np.stack([-away[0] - _SEEN_PX, away[1] + _SEEN_PX])
+    reach = np.array([-away[0] - _SEEN_PX, away[1] + _SEEN_PX])
     outer_u, outer_v = at[0] + reach * along[0], at[1] + reach * along[1]
     inside = ((outer_u >= 0) & (outer_u <= grey.shape[1] - 1) & (outer_v >= 0) & (outer_v <= grey.shape[0] - 1)).all(0)
     good = inside & found.all(axis=0) & (step > 0) & (width > 0.4 * wide) & (width < 2.0 * wide + 1.0)

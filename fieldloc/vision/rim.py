@@ -60,13 +60,15 @@ def trace(
         found = measure(grey, pixels, across, widths[part] * in_picture)
         good = found.good & (found.step > 0.6 * settings.least_contrast)
         middles = points + (found.middle_px / zoom)[:, None] * normals
+        known = np.where(np.isfinite(middles), middles, 1e9)
+        off, weights = ellipse.beside(known)
         fitted = None
         for _ in range(2):
-            fitted = fit_ellipse(middles[good], ellipse.weights(middles[good]))
+            fitted = fit_ellipse(middles[good], weights[good])
             if fitted is None:
                 return None
             ellipse = fitted
-            off = ellipse.distance(np.where(np.isfinite(middles), middles, 1e9))
+            off, weights = ellipse.beside(known)
             spread = 1.4826 * float(np.sort(np.abs(off[good]))[np.count_nonzero(good) // 2])
             good &= np.abs(off) < max(_OUTLIER * spread, _LEAST_OUTLIER_PX)
         if np.count_nonzero(good & there[part]) < max(_FEWEST // 2, _LEAST_SHARE * np.count_nonzero(there[part])):
@@ -111,7 +113,7 @@ def _widths(centre: FloatArray, axes: FloatArray, on: FloatArray) -> tuple[Mask,
     runs that of their neighbours, as the line goes on there where it crosses another; NaN elsewhere.
     """
     part = parts_of(centre, axes, on[:, :2])
-    both = np.stack([np.bincount(part, weights=on[:, 2], minlength=PARTS), np.bincount(part, minlength=PARTS)])
+    both = np.array([np.bincount(part, weights=on[:, 2], minlength=PARTS), np.bincount(part, minlength=PARTS)])
     there = both[1] > 0
     total, count = np.where(there, both, both[:, _NEIGHBOURS].sum(axis=2))
     return there, np.where(count > 0, total / np.maximum(count, 1.0), np.nan)

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldloc.pose import FloatArray
 from fieldloc.vision.turf import Mask
@@ -27,7 +28,8 @@ class Segments:
 
     @property
     def lengths(self) -> FloatArray:
-        return np.asarray(np.linalg.norm(self.ends[:, 1] - self.ends[:, 0], axis=1))
+        along = self.ends[:, 1] - self.ends[:, 0]
+        return np.asarray(np.hypot(along[:, 0], along[:, 1]))
 
 
 def straight_pieces(chains: list[FloatArray], least_length_px: float) -> Segments:
@@ -36,22 +38,26 @@ def straight_pieces(chains: list[FloatArray], least_length_px: float) -> Segment
     slants = [np.zeros(0)]
     todo = [chain for chain in chains if len(chain) >= _FEWEST]
     while todo:  # those that bend in two, and again
-        fits, long, off, slant = _bends(todo, least_length_px)
+        fits, long, off, begins, slant = _bends(todo, least_length_px)
         straight += [chain for chain, fit in zip(todo, fits, strict=True) if fit]
         slants.append(slant[fits])
         halves = []
         for n in np.flatnonzero(long & ~fits).tolist():
             chain = todo[n]
-            split = min(max(int(np.abs(off[n]).argmax()), 1), len(chain) - 2)
+            farthest = int(np.abs(off[begins[n] : begins[n] + len(chain)]).argmax())
+            split = min(max(farthest, 1), len(chain) - 2)
             halves += [chain[: split + 1], chain[split:]]
         todo = [chain for chain in halves if len(chain) >= _FEWEST]
     widths = _tapered([chain[:, 2] for chain in straight]) * np.concatenate(slants)[:, None]
     return Segments(_fitted([chain[:, :2] for chain in straight]), widths)
 
 
-def _bends(chains: list[FloatArray], least_length_px: float) -> tuple[Mask, Mask, list[FloatArray], FloatArray]:
-    """(k,) which chains are straight and long enough, and which are long enough; how far each one's points (m,) are off
-    its chord; (k,) across a chain, how wide what is one wide along the scan lines is.
+def _bends(
+    chains: list[FloatArray], least_length_px: float
+) -> tuple[Mask, Mask, FloatArray, NDArray[np.intp], FloatArray]:
+    """(k,) which chains are straight and long enough, and which are long enough; how far all points are off their
+    chain's chord, and (k,) where each chain's begin; (k,) across a chain, how wide what is one wide along the scan
+    lines is.
     """
     sizes = np.array([len(chain) for chain in chains])
     last = np.cumsum(sizes) - 1
@@ -73,7 +79,7 @@ def _bends(chains: list[FloatArray], least_length_px: float) -> tuple[Mask, Mask
     farthest = np.maximum(np.maximum.reduceat(off, begins) - mean, mean - np.minimum.reduceat(off, begins))
     long = length >= least_length_px
     fits = long & (farthest <= 2.0 * slack) & (square / sizes - mean * mean <= (0.4 * slack) ** 2)
-    return fits, long, np.split(off, begins[1:]), slant
+    return fits, long, off, begins, slant
 
 
 def _fitted(pieces: list[FloatArray]) -> FloatArray:
@@ -92,12 +98,12 @@ def _fitted(pieces: list[FloatArray]) -> FloatArray:
         weighted = weights * u
         cross, square = np.add.reduceat(np.stack([weighted * v, weighted * u - weights * v * v]), begins, axis=1)
         angle = 0.5 * np.arctan2(2.0 * cross, square)
-        along = np.stack([np.cos(angle), np.sin(angle)])
+        along = np.array([np.cos(angle), np.sin(angle)])
         each = along.repeat(sizes, axis=1)
         off = v * each[0] - u * each[1]
         typical = np.maximum(np.add.reduceat(np.abs(off), begins) / sizes, 0.1)
         weights = 1.0 / (1.0 + (off / (2.0 * typical.repeat(sizes))) ** 2)
-    outer = np.stack([begins, begins + sizes - 1])
+    outer = np.array([begins, begins + sizes - 1])
     place = u[outer] * along[0] + v[outer] * along[1]
     return np.asarray((mean[:, None] + place * along[:, None]).T)
 
@@ -164,7 +170,8 @@ def _belong(lines: FloatArray, line_width: FloatArray, ends: FloatArray, width: 
     beyond = np.maximum(np.maximum(-place, place - length[:, None, None]), 0.0)
     widest = line_width.max(axis=1)[:, None, None]
     slack = _TOGETHER_PX + _TOGETHER_SHARE * np.minimum(width, widest) + _TOGETHER_RAD * beyond
-    return np.asarray((off <= slack).all(axis=2) & (width.mean(axis=1) < _WIDTHS * widest[..., 0]))
+    near = off <= slack
+    return np.asarray(near[..., 0] & near[..., 1] & (width.mean(axis=1) < _WIDTHS * widest[..., 0]))
 
 
 def _line_at_ends(place: FloatArray, width: FloatArray, weight: FloatArray) -> FloatArray:

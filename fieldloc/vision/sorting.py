@@ -28,6 +28,7 @@ _CROSSED_PX, _CROSSED = 5.0, 0.2  # beside a width, beyond a crossing; sine of t
 _CORDS = 0.5  # difference of the logarithms of two cords' widths
 _ALONG = np.linspace(0.05, 0.95, 9)[:, None]  # shares of a piece's length at which it is looked at
 _BEYOND = np.linspace(0.1, 1.0, 8)  # shares of the way looked at beyond a line's end
+_SIDES = np.array([0.0, 1.0, -1.0])[:, None, None, None]  # of a line: on it, and beside it
 _STEEP = 0.6  # of a unit along a line, down the picture: what is flatter is not upright
 _TURNED = 0.1  # sine of the angle between two lines that meet
 _UPRIGHT = 5  # of them with white going on and turf on neither side: upright
@@ -44,11 +45,11 @@ def sort_out(
     """The lines that are left."""
     if not lines:
         return lines
-    ends = np.stack([line.ends_px for line in lines])
-    width = np.stack([line.width_px for line in lines])
+    ends = np.array([line.ends_px for line in lines])
+    width = np.array([line.width_px for line in lines])
     upright, free, blocked = _beyond(ends, width, grey, turf, settings)
     upright |= _on_posts(ends, posts)
-    sigma = np.stack([line.width_sigma_px for line in lines])
+    sigma = np.array([line.width_sigma_px for line in lines])
     good = (
         ~_in_net(ends, width)
         & ~_covered(ends, width)
@@ -56,7 +57,7 @@ def sort_out(
         & ~upright
         & _tapers_as_turf(ends, width, sigma, turf, grey.shape[0])
     )
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     short = length < np.minimum(_MARK_WIDTHS * width.mean(axis=1), _MARK_LENGTH * grey.shape[1])
     others, at_circle = _near_others(ends, width, circle)
     at_border = _at_border(ends, width, grey)
@@ -116,12 +117,12 @@ def _in_net(ends: FloatArray, width: FloatArray) -> Mask:
 def _covered(ends: FloatArray, width: FloatArray) -> Mask:
     """(n,) which pieces are mostly within the white of longer ones."""
     along = ends[:, 1] - ends[:, 0]
-    length = np.linalg.norm(along, axis=1)
+    length = np.hypot(along[:, 0], along[:, 1])
     along = along / length[:, None]
     points = ends[:, :1] + _ALONG * (ends[:, 1:] - ends[:, :1])
-    relative = points[:, :, None] - ends[None, None, :, 0]
-    place = (relative * along).sum(axis=-1)
-    off = np.abs(relative[..., 1] * along[:, 0] - relative[..., 0] * along[:, 1])
+    u, v = points[:, :, None, 0] - ends[:, 0, 0], points[:, :, None, 1] - ends[:, 0, 1]
+    place = u * along[:, 0] + v * along[:, 1]
+    off = np.abs(v * along[:, 0] - u * along[:, 1])
     there = np.minimum(np.maximum(place / length, 0.0), 1.0)
     wide = width[:, 0] + (width[:, 1] - width[:, 0]) * there
     inside = (off < 0.6 * wide + 0.5) & (place > -wide) & (place < length + wide)
@@ -134,8 +135,14 @@ def _on_circle(ends: FloatArray, width: FloatArray, circle: SeenCircle | None) -
     if circle is None:
         return np.zeros(len(ends), dtype=np.bool_)
     points = ends[:, :1] + _ALONG * (ends[:, 1:] - ends[:, :1])
-    away = np.linalg.norm(points[:, :, None] - circle.points_px, axis=-1).min(axis=2)
+    away = _to_nearest(points, circle.points_px)
     return np.asarray((away < 0.5 * width.mean(axis=1, keepdims=True) + _CIRCLE_PX).mean(axis=1) >= _COVERED)
+
+
+def _to_nearest(points: FloatArray, others: FloatArray) -> FloatArray:
+    """(n, k) from points (n, k, 2) to the nearest of others (m, 2)."""
+    u, v = points[..., None, 0] - others[:, 0], points[..., None, 1] - others[:, 1]
+    return np.asarray(np.sqrt((u * u + v * v).min(axis=2)))
 
 
 def _at_border(ends: FloatArray, width: FloatArray, grey: UInt8Array) -> Mask:
@@ -178,7 +185,7 @@ def _beyond(
     something else that is in the picture.
     """
     along = ends[:, 1] - ends[:, 0]
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    along = along / np.hypot(along[:, :1], along[:, 1:])
     outward = np.stack([-along, along], axis=1)
     away = 2.0 + _BEYOND * np.maximum(10.0, 1.5 * width)[:, :, None]
     points = ends[:, :, None] + away[..., None] * outward[:, :, None]
@@ -187,11 +194,12 @@ def _beyond(
     profiles = measure(grey, points.reshape(-1, 2), normals.reshape(-1, 2), wide.ravel())
     on = profiles.good & (profiles.step > 0.6 * settings.least_contrast)
     on = (on & (np.abs(profiles.middle_px) < 0.3 * wide.ravel() + 1.0)).reshape(wide.shape)
-    aside = (0.5 * wide + 3.0)[..., None] * normals
-    beside = turf.at(points + aside) | turf.at(points - aside)
+    u, v = points[..., 0], points[..., 1]
+    aside = _SIDES * (0.5 * wide + 3.0)
+    is_turf, one_side, other_side = turf.at_uv(u + aside * normals[..., 0], v + aside * normals[..., 1])
+    beside = one_side | other_side
     upright = (np.count_nonzero(on & ~beside, axis=2) >= _UPRIGHT).any(axis=1) & (np.abs(along[:, 1]) > _STEEP)
-    there = ((points >= 0.0) & (points < (grey.shape[1], grey.shape[0]))).all(axis=-1)
-    is_turf = turf.at(points)
+    there = (u >= 0.0) & (u < grey.shape[1]) & (v >= 0.0) & (v < grey.shape[0])
     free = np.count_nonzero(is_turf & ~on, axis=2) >= _UPRIGHT
     blocked = np.count_nonzero(there & ~is_turf & ~on, axis=2) >= _UPRIGHT
     return upright, free, blocked
@@ -202,13 +210,12 @@ def _near_others(ends: FloatArray, width: FloatArray, circle: SeenCircle | None)
     reach = 1.5 * width.max(axis=1) + 6.0
     along = ends[:, 1] - ends[:, 0]
     square = (along * along).sum(axis=1)
-    relative = ends[:, :, None] - ends[:, 0]
-    share = np.minimum(np.maximum((relative * along).sum(axis=-1) / square, 0.0), 1.0)
-    off = relative - share[..., None] * along
+    u, v = ends[:, :, None, 0] - ends[:, 0, 0], ends[:, :, None, 1] - ends[:, 0, 1]
+    share = np.minimum(np.maximum((u * along[:, 0] + v * along[:, 1]) / square, 0.0), 1.0)
+    u, v = u - share * along[:, 0], v - share * along[:, 1]
     turned = np.abs(along[:, None, 0] * along[:, 1] - along[:, None, 1] * along[:, 0])
     turned = turned > _TURNED * np.sqrt(square[:, None] * square)
-    near = ((off * off).sum(axis=-1) < (reach * reach)[:, None, None]) & turned[:, None]
+    near = (u * u + v * v < (reach * reach)[:, None, None]) & turned[:, None]
     if circle is None:
         return near, np.zeros(width.shape, dtype=np.bool_)
-    away = np.linalg.norm(ends[:, :, None] - circle.points_px, axis=-1).min(axis=2)
-    return near, away < reach[:, None]
+    return near, _to_nearest(ends, circle.points_px) < reach[:, None]

@@ -82,16 +82,16 @@ def _white_beside(
     grey: UInt8Array, lines: tuple[SeenLine, ...], settings: VisionSettings
 ) -> list[tuple[_Side, float, float]]:
     """White right beside a line, near the picture's border: from where to where along it."""
-    ends = np.stack([line.ends_px for line in lines])
-    width = np.stack([line.width_px for line in lines])
+    ends = np.array([line.ends_px for line in lines])
+    width = np.array([line.width_px for line in lines])
     way = ends[:, 1] - ends[:, 0]
     length = np.hypot(way[:, 0], way[:, 1])
     along = way / length[:, None]
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
     core = ends[:, None, 0] + _CORE[:, None] * way[:, None]
     aside = (0.5 * width.mean(axis=1) + _FIRST_PX + 1.0)[:, None, None, None] * _BESIDE[:, None] * normal[:, None, None]
-    white = np.median(_values(grey, core), axis=1)
-    dark = np.median(_values(grey, core[:, :, None] + aside).reshape(len(lines), -1), axis=1)
+    white = _median(_values(grey, core))
+    dark = _median(_values(grey, core[:, :, None] + aside).reshape(len(lines), -1))
     good = (length >= _LEAST_PX) & (white - dark >= settings.least_contrast)
     # both sides of each: (n, 2, 2)
     out = _BESIDE[:, None] * normal[:, None]
@@ -107,7 +107,7 @@ def _white_beside(
     leaves, comes = leaves + wide, comes - wide
     far = leaves >= comes  # all of it is near the border
     leaves, comes = np.where(far, high, leaves), np.where(far, high, comes)
-    begin, end = np.stack([low, np.maximum(low, comes)]), np.stack([np.minimum(high, leaves), high])
+    begin, end = np.array([low, np.maximum(low, comes)]), np.array([np.minimum(high, leaves), high])
     part, row, which = np.nonzero((end - begin > _FEWEST) & good[:, None])
     if not len(row):
         return []
@@ -146,8 +146,9 @@ def _tracked(grey: UInt8Array, side: _Side, start: float, stop: float) -> FloatA
     for first in range(0, _ROWS, _AT_ONCE):  # most of what is white beside a line is soon seen to be something else
         place = np.arange(start - reach, stop + reach)
         points = side.points(place[None], _AWAY[first : first + _AT_ONCE, None])
-        inside = np.asarray(((points >= 0.0) & (points <= np.array(grey.shape[::-1]) - 1.0)).all(axis=2))
-        u, v = points.astype(np.float32).transpose(2, 0, 1)
+        u, v = points[..., 0], points[..., 1]
+        inside = (u >= 0.0) & (u <= grey.shape[1] - 1) & (v >= 0.0) & (v <= grey.shape[0] - 1)
+        u, v = u.astype(np.float32), v.astype(np.float32)
         values = np.asarray(cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float64)
         above = values > side.bar
         begin, end = reach, len(place) - reach
@@ -183,7 +184,7 @@ def _seen(grey: UInt8Array, side: _Side, edges: FloatArray, turf: Turf) -> SeenL
     rough = float(np.sqrt(rest @ rest / (len(rest) - 2.0)))
     if rough > max(_ROUGHEST_PX, _ROUGHEST_SHARE * float(width.mean())):
         return None
-    beside = np.stack([edges[:, 0] - 3.0, edges[:, 1] + 3.0])
+    beside = np.array([edges[:, 0] - 3.0, edges[:, 1] + 3.0])
     if (turf.at(side.points(beside, np.stack([away, away]))).mean(axis=1) < _COLOUR).any():
         return None
     at = off[[0, -1]]
@@ -197,7 +198,7 @@ def _seen(grey: UInt8Array, side: _Side, edges: FloatArray, turf: Turf) -> SeenL
     # neighbouring rows share their pixels
     shape = 2.0 * (1.0 / len(off) + at[:, None] * at / power)
     # the middle of any chord of a stripe on the ground is on the stripe's middle
-    directions = np.stack([side.along, side.along])
+    directions = np.array([side.along, side.along])
     shift, unsure = middle_shift(ends, directions, chords, turf, grey.shape[0])
     covariance = (variance * shape + unsure[:, None] * unsure) * aslant**2
     full = (covariance[:, None, :, None] * np.outer(normal, normal)[None, :, None]).reshape(4, 4)
@@ -223,7 +224,7 @@ def _goes_through(grey: UInt8Array, stub: SeenLine, line: SeenLine, bar: float) 
 def _as_white(grey: UInt8Array, stub: SeenLine, line: SeenLine, side: _Side) -> bool:
     """Whether its middle is as bright as the line; blur makes thin ones darker."""
     middle = stub.ends_px[0] + np.linspace(0.0, 1.0, 5)[:, None] * (stub.ends_px[1] - stub.ends_px[0])
-    brighter = (float(np.median(_values(grey, middle))) - side.white) / (side.white - side.bar)
+    brighter = (float(_median(_values(grey, middle))) - side.white) / (side.white - side.bar)
     darkest = -np.inf if stub.width_px.mean() < _THIN_PX else -_WHITER
     return darkest < brighter < (np.inf if line.width_px.mean() < _THIN_PX + 2.0 else _WHITER)
 
@@ -238,6 +239,12 @@ def _is_part(stub: SeenLine, line: SeenLine) -> bool:
     off = abs(float(way[0] * relative[1] - way[1] * relative[0])) / length
     wide = float(line.width_px.max())
     return turned < _SAME and off < wide and -2.0 * wide < place < length + 2.0 * wide
+
+
+def _median(values: NDArray[np.uint8]) -> FloatArray:
+    """(...,) of values (..., k)."""
+    ordered, half = np.sort(values, axis=-1).astype(np.float64), values.shape[-1] // 2
+    return np.asarray(0.5 * (ordered[..., half] + ordered[..., (values.shape[-1] - 1) // 2]))
 
 
 def _values(grey: UInt8Array, points: FloatArray) -> NDArray[np.uint8]:
