@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimators.chain import Chain, Recorded
 from estimators.chain_engine.considered import Considered
@@ -44,12 +43,12 @@ class _Sight(NamedTuple):
 
 class _Pulls(NamedTuple):
     """(k,) nodes and landmarks; (k, 3, 2) by how much what was seen there pulls more at the pose that it was seen from,
-    robot frame, for each metre that the landmark is moved on the map. doubted: (k,) as of fieldloc.scan_gains."""
+    robot frame, for each metre that the landmark is moved on the map. as_noise: (k,) as of fieldloc.scan_gains."""
 
     nodes: IntArray
     landmarks: IntArray
     pulls: FloatArray
-    doubted: NDArray[np.bool_]
+    as_noise: FloatArray
 
 
 def survey_of(field: FieldMap, sigma_m: float) -> FloatArray:
@@ -75,13 +74,13 @@ def with_survey(
     if (np.trace(places, axis1=1, axis2=2) < _NOTHING_M**2).all():
         return solution
     seen_from = chain.seen_from(solution.poses, solution.calibration, solution.sensor)
-    nodes, landmarks, pulls, doubted = _all_pulls(sights, seen_from, config.graph.cauchy)
+    nodes, landmarks, pulls, as_noise = _all_pulls(sights, seen_from, config.graph.cauchy)
     roots = np.linalg.cholesky(places + 1e-18 * np.eye(2))
     covariances, common = solution.covariances.copy(), solution.global_covariance.copy()
     engine = Considered(chain, config, solution)
-    if doubted.any():  # as noise that is new in each scan, it is in there already
-        spread = pulls[doubted] @ roots[landmarks[doubted]]
-        by_pose, by_common = engine.due_to(nodes[doubted], spread @ spread.swapaxes(1, 2))
+    if as_noise.any():  # then some of it is in there already
+        spread = pulls @ roots[landmarks] * np.sqrt(as_noise)[:, None, None]
+        by_pose, by_common = engine.due_to(nodes, spread @ spread.swapaxes(1, 2))
         covariances, common = covariances - by_pose, common - by_common
     for those in np.array_split(np.unique(landmarks), len(np.unique(landmarks)) // _AT_ONCE + 1):
         rows = np.isin(landmarks, those)
@@ -120,7 +119,7 @@ def _of_fixes(sights: Sequence[_Sight], seen_from: FloatArray, cauchy: float) ->
     slope = se2.right_jacobian_inverse(error)
     weighted = _under_kernel(error, np.array([factor.covariance for factor in factors]), cauchy)
     whole = slope.swapaxes(1, 2) @ weighted @ slope
-    return _Pulls(nodes[found.scans], found.landmarks, -whole[found.scans] @ found.moves, found.doubted)
+    return _Pulls(nodes[found.scans], found.landmarks, -whole[found.scans] @ found.moves, found.as_noise)
 
 
 def _one_by_one(sights: Sequence[_Sight], seen_from: FloatArray, cauchy: float) -> _Pulls:
@@ -135,9 +134,11 @@ def _one_by_one(sights: Sequence[_Sight], seen_from: FloatArray, cauchy: float) 
     slope = point_by_tangent(there)
     weighted = _under_kernel(error, np.array([factor.covariance for factor in factors]), cauchy)
     by_place = se2.rotation(by[:, 2] - at[:, 2])
-    doubted = np.array([sight.mixture.model.survey is not None for sight in sights])[scans]
+    models = [sight.mixture.model for sight in sights]
+    known = np.array([model.survey is not None for model in models])
+    wider = np.concatenate([model.wider[each[each >= 0], 0] for model, each in zip(models, matches, strict=True)])
     landmarks = np.concatenate([each[each >= 0] for each in matches])
-    return _Pulls(nodes, landmarks, slope.swapaxes(1, 2) @ weighted @ by_place, doubted)
+    return _Pulls(nodes, landmarks, slope.swapaxes(1, 2) @ weighted @ by_place, wider * known[scans])
 
 
 def _under_kernel(error: FloatArray, covariance: FloatArray, cauchy: float) -> FloatArray:

@@ -22,12 +22,19 @@ def seen_in_robot(scan: LandmarkScan) -> tuple[FloatArray, FloatArray]:
 
 
 def landmark_factors(
-    scan: LandmarkScan, field: FieldMap, rows: IntArray, indices: IntArray, covariance: FloatArray
+    scan: LandmarkScan,
+    field: FieldMap,
+    rows: IntArray,
+    indices: IntArray,
+    covariance: FloatArray,
+    survey_wider: FloatArray | float = 1.0,
 ) -> tuple[LandmarkFactor, ...]:
-    """Rows of the scan as landmarks of those indices on the map, by covariances (k, 2, 2) of range and bearing."""
+    """Rows of the scan as landmarks of those indices on the map, by covariances (k, 2, 2) of range and bearing.
+
+    survey_wider: (k,) by how much the variances of the map's errors are widened."""
     seen, spread = seen_in_robot(replace(scan, range_bearing=scan.range_bearing[rows], covariance=covariance))
     # the map's error turns with the unknown heading: its largest in all directions
-    survey = np.linalg.eigvalsh(field.positions_covariance[indices])[:, -1]
+    survey = np.linalg.eigvalsh(field.positions_covariance[indices])[:, -1] * survey_wider
     return tuple(
         LandmarkFactor(scan.stamp_ns, field.positions[index], seen[k], spread[k] + survey[k] * np.eye(2), by_sight=True)
         for k, index in enumerate(indices)

@@ -48,6 +48,8 @@ def _known(
     if model.shared is not None:
         shared_range_m = (model.shared if wider is None else model.shared_widened)[rows, 0]
     survey = None if model.survey is None else model.survey[which]
+    if survey is not None and wider is not None:
+        survey = survey * wider[rows, :1, None]
     return model.positions[which], model.range_bearing[rows], own, survey, robot_from_sensor, shared_range_m
 
 

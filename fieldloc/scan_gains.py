@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldloc import pose as se2
 from fieldloc.mixture import IntArray
@@ -17,13 +16,14 @@ _RIDGE = 1e-12  # of the information's trace
 
 class Gains(NamedTuple):
     """k sights of landmarks. scans, landmarks: (k,) of which scan, of which of the map's. moves: (k, 3, 2) of the
-    robot's tangent, where it was seen from, with the landmark's place, field axes. doubted: (k,) whether the scan was
-    read as by a map that errs, anew each time."""
+    robot's tangent, where it was seen from, with the landmark's place, field axes. as_noise: (k,) by how
+    much the variances of the place on the map were widened where the scan was read with them, as if they were noise
+    that is new each time; 0 where they were left out."""
 
     scans: IntArray
     landmarks: IntArray
     moves: FloatArray
-    doubted: NDArray[np.bool_]
+    as_noise: FloatArray
 
 
 def gains(mixtures: Sequence[ScanMixture], solutions: Sequence[int], poses: FloatArray) -> Gains:
@@ -35,7 +35,8 @@ def gains(mixtures: Sequence[ScanMixture], solutions: Sequence[int], poses: Floa
     seen = np.flatnonzero(every >= 0)
     landmarks, scans = every[seen], scans[seen]
     models = [mixture.model for mixture in mixtures]
-    root = np.sqrt(np.stack([model.wider for model in models])[scans, landmarks])
+    wider = np.stack([model.wider for model in models])[scans, landmarks]
+    root = np.sqrt(wider)
     covariance = np.concatenate([model.covariance for model in models])[seen] * root[:, :, None] * root[:, None, :]
     shared = np.concatenate([model.shared_widened for model in models])[seen, 0]
     mounts = np.array([mixture.scan.robot_from_sensor for mixture in mixtures])
@@ -46,10 +47,10 @@ def gains(mixtures: Sequence[ScanMixture], solutions: Sequence[int], poses: Floa
     by_place = np.stack([np.cos(there), np.sin(there), -np.sin(there) / d, np.cos(there) / d], axis=-1)
     by_place = by_place.reshape(-1, 2, 2)
     by_pose = np.concatenate([-by_place @ se2.rotation(at[:, 2]), np.tile([[0.0], [-1.0]], (len(d), 1, 1))], axis=-1)
-    survey = np.array([model.survey is not None for model in models])[scans]
-    if survey.any():
-        places = mixtures[0].field_map.positions_covariance[landmarks[survey]]
-        covariance[survey] += by_place[survey] @ places @ by_place[survey].swapaxes(-1, -2)
+    as_noise = wider[:, 0] * np.array([model.survey is not None for model in models])[scans]
+    if as_noise.any():
+        places = mixtures[0].field_map.positions_covariance[landmarks] * as_noise[:, None, None]
+        covariance += by_place @ places @ by_place.swapaxes(-1, -2)
     weighted = np.linalg.inv(covariance) @ np.concatenate([by_pose, by_place], axis=-1)  # (k, 2, 3 + 2)
     information = np.zeros((len(mixtures), 3, 3))
     np.add.at(information, scans, by_pose.swapaxes(-1, -2) @ weighted[..., :3])
@@ -64,4 +65,4 @@ def gains(mixtures: Sequence[ScanMixture], solutions: Sequence[int], poses: Floa
     across -= (pulled / alone[:, None])[scans, :, None] * by_shared[:, None, 3:]
     information += _RIDGE * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     moves = se2.adjoint(mounts)[scans] @ -(np.linalg.inv(information)[scans] @ across)
-    return Gains(scans, landmarks, moves, survey)
+    return Gains(scans, landmarks, moves, as_noise)

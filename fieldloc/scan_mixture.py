@@ -162,7 +162,7 @@ class ScanMixture:
         root = np.sqrt(wider[rows])
         covariance = model.covariance[rows] * root[:, :, None] * root[:, None, :]
         covariance += (model.shared_widened[rows] ** 2)[:, :, None] * np.eye(2)
-        return landmark_factors(self.scan, self.field_map, rows, which, covariance)
+        return landmark_factors(self.scan, self.field_map, rows, which, covariance, wider[rows, 0])
 
     def _agree(self, matches: IntArray, fix: LandmarkFix, repeated: bool) -> bool:
         """Whether landmarks (n,) agree on a fix, by errors that are not widened."""

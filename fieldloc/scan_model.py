@@ -140,7 +140,7 @@ class ScanModel:
         det = rr * bb - rb * rb
         wrr, wrb, wbb, share = rr, rb, bb, matched / det
         if wider is not None:
-            wrr, wrb, wbb = _with(_widened(own, wider[:, 0], wider[:, 1]), survey)
+            wrr, wrb, wbb = _widened_with(own, survey, wider[:, 0], wider[:, 1])
             share = matched / (wrr * wbb - wrb * wrb)
         weight = np.empty((*matches.shape, 2, 2))
         weight[..., 0, 0], weight[..., 1, 1] = share * wbb, share * wrr
@@ -204,7 +204,7 @@ class ScanModel:
         plain = _with(own, survey)
         if wider is None:
             return plain, plain
-        return plain, _with(_widened(own, wider[:, 0, None, None], wider[:, 1, None, None]), survey)
+        return plain, _widened_with(own, survey, wider[:, 0, None, None], wider[:, 1, None, None])
 
     def _survey_as_seen(self, landmark: IntArray, ux: FloatArray, uy: FloatArray, d: FloatArray) -> Upper:
         """The map's errors in range and bearing (...), u the line of sight in the field."""
@@ -301,6 +301,16 @@ class ScanModel:
 
 def _with(own: Upper, survey: Upper | None) -> Upper:
     return own if survey is None else (own[0] + survey[0], own[1] + survey[1], own[2] + survey[2])
+
+
+def _widened_with(own: Upper, survey: Upper | None, by_range: FloatArray, by_bearing: FloatArray) -> Upper:
+    """What is wrong with a place on the map is the same again for longer than anything else: no news either."""
+    rr, rb, bb = _widened(own, by_range, by_bearing)
+    return (
+        (rr, rb, bb)
+        if survey is None
+        else (rr + by_range * survey[0], rb + by_range * survey[1], bb + by_range * survey[2])
+    )
 
 
 def _widened(own: Upper, by_range: FloatArray, by_bearing: FloatArray) -> Upper:

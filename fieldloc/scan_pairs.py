@@ -71,7 +71,7 @@ def pairs_of(model: ScanModel, poses: FloatArray, covariances: FloatArray) -> Pa
     if wider is not None:
         by_range, by_bearing = wider[row].T
         both = np.sqrt(by_range * by_bearing)
-        widened = by_range * own[5:8] + r * (both * own[11:14] + r * by_bearing * own[8:11]) + survey
+        widened = by_range * own[5:8] + r * (both * own[11:14] + r * by_bearing * own[8:11]) + by_range * survey
         log_peak -= 0.5 * np.log(determinant(plain) / determinant(widened))
     return Pairs(pose, row, landmark, x, y, ex, ey, widened[0], widened[1], widened[2], log_peak, wider)
 
