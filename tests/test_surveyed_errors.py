@@ -19,8 +19,11 @@ from estimators.surveyed_map import with_survey_sigma
 from fieldloc import pose as se2
 from fieldloc.measurements import LandmarkScan, Measurement, Odometry
 from fieldloc.mixture import IntArray
+from fieldloc.mixture_builder import MixtureBuilder
 from fieldloc.pose import FloatArray
-from logs.replay import Recording, replay
+from fieldloc.repetition import ErrorCorrelation, inflation
+from logs.recording import Recording
+from logs.replay import replay
 
 SIGMA_M = 0.08
 EXACT = replace(KNOWN, survey=Survey(0.0))
@@ -184,3 +187,26 @@ def test_a_map_that_is_exact_adds_nothing() -> None:
     measured = replace(log, field=with_survey_sigma(log.field, 1e-4))  # by cameras on the ceiling
     known, same = both(measured, replace(EXACT, survey=Survey(0.5)))
     np.testing.assert_array_equal(same.covariances, known.covariances)
+
+
+@pytest.mark.parametrize("landmarks", [6, 1], ids=["as a pose", "one by one"])
+def test_a_wrong_place_on_the_map_is_no_news_in_the_next_scan(landmarks: int) -> None:
+    one_walk = walk(9, 0.4)
+    log, pose = one_walk.recording, one_walk.poses[0]
+    field = with_survey_sigma(log.field, SIGMA_M)
+    builder = MixtureBuilder(field, correlation=ErrorCorrelation(range_s=3.0, bearing_s=3.0))
+    said = []
+    for one in log.measurements:
+        if isinstance(one, LandmarkScan):
+            # next to nothing but the map's errors
+            rows = slice(landmarks)
+            exact = LandmarkScan(one.stamp_ns, one.labels[rows], one.range_bearing[rows], 1e-4 * one.covariance[rows])
+            mixture = builder.build(exact)
+            assert mixture is not None
+            near = mixture.expand(pose[None], np.diag([0.3, 0.3, 0.3])[None] ** 2)
+            said.append(mixture.chosen(int(near.ids[np.argmax(near.evidence)]))[0].covariance)
+            builder.remember(exact, mixture, pose)
+    first, second, _ = said
+    np.testing.assert_allclose(
+        second[:2, :2], inflation(np.array(0.2), 3.0) * first[:2, :2], rtol=0.05, atol=0.1 * SIGMA_M**2
+    )
