@@ -17,6 +17,10 @@ _UNEVEN = 0.05  # share by which a line's width changes along it
 _LEAST_WIDTH_PX = 2.0  # of a line whose width says how far it is: thinner ones are all blur
 _BLUR_PX = 0.5  # by which light and a lens make white wider than it is
 _THREAD_PX2 = 2.0  # standard deviation of THREAD_PX squared, from camera to camera
+_THIN_PX2 = 3.0  # by which a thin post is wider than it is, times its width
+_SIDES = np.array([0.5, 0.5, -0.5, -0.5])  # of a post's four ends, for each pixel of width
+_FOOT_PX = 0.2  # by which a foot's own shade, and the turf before it, move it down or up
+_TWICE_PX = 3.0  # across, a foot is where the post's edges are: that is seen once
 _NOTHING = 1e6
 
 
@@ -52,8 +56,9 @@ class Noise:
             model *= self.amounts[rows % len(self.amounts), None]
         return model + self.widen_px**2
 
-    def of_circle(self, px_per_m: FloatArray) -> FloatArray:
-        return self._of(self.settings.map_m * px_per_m) + self.sight.circle_sigmas**2
+    def of_circle(self, px_per_m: FloatArray, alike: float = 1.0) -> FloatArray:
+        """(k, c) px^2 of points (k, c) of which so many are off by the model's noise together."""
+        return alike * self._of(self.settings.map_m * px_per_m) + self.sight.circle_sigmas**2
 
     @cached_property
     def of_widths(self) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
@@ -84,7 +89,9 @@ class Noise:
         amounts = np.ones(1) if self.amounts is None else self.amounts
         model = amounts[:, None] * (self.settings.model_px**2 + map_px**2) + self.widen_px**2
         out = np.zeros((*model.shape, 6, 6))
-        out[..., :4, :4] = sight.post_noise + model[..., None, None] * np.eye(4)
-        foot = sight.feet.noise + model[..., None, None] * np.eye(2)
+        thin = (_THIN_PX2 / np.maximum(sight.post_widths, 1.0)) ** 2
+        own = sight.post_noise + thin[:, None, None] * np.outer(_SIDES, _SIDES)
+        out[..., :4, :4] = own + model[..., None, None] * np.eye(4)
+        foot = sight.feet.noise + np.diag([_TWICE_PX, _FOOT_PX]) ** 2 + model[..., None, None] * np.eye(2)
         out[..., 4:, 4:] = np.where(sight.feet.known[:, None, None], foot, np.eye(2))
         return np.asarray(np.linalg.inv(np.linalg.cholesky(out)))

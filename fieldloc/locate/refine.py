@@ -65,8 +65,8 @@ def linearise(
                 continue
             rows, px_per_m = circle_rows(cameras, circle)
             points = rows.shape[1]
-            # neighbours on an ellipse are off it together
-            sigma = np.sqrt(noise.of_circle(px_per_m) * max(points / CIRCLE_NUMBERS, 1.0))
+            # what is painted off the map is off it together with its neighbours, what noise moves is not
+            sigma = np.sqrt(noise.of_circle(px_per_m, max(points / CIRCLE_NUMBERS, 1.0)))
             share = used[:, None] * _share((rows[..., ERROR] / sigma) ** 2) / sigma
             white.append(rows * share[..., None])
             numbers += used * points

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldloc import pose as se2
+from fieldloc.locate.amounts import AMOUNTS, log_often
 from fieldloc.locate.cameras import IntArray
 from fieldloc.locate.evidence import log_missed
 from fieldloc.locate.matching import Matches, match
@@ -19,10 +20,6 @@ from fieldloc.locate.task import Task
 from fieldloc.locate.windows import Windows, cut
 from fieldloc.pose import FloatArray
 
-# Of the model's noise, as variances, and how often that much is met: none to speak of, where a picture is drawn or the
-# field and the lens are surveyed, as often as what people lay out by tape; what is in between is rare.
-_AMOUNTS = np.array([0.0001, 0.01, 0.2, 1.0, 5.0])
-_LOG_OFTEN = np.log(np.array([0.5, 0.02, 0.22, 0.22, 0.04]))
 _HIDDEN = 4.0  # times as much as it shows may a fit hide
 _LEAST_NUMBERS = 4  # of a pose, height and attitude known somewhat
 _UNKNOWN = np.array([1.5, 1.5, 0.5])  # standard deviations of what is no pose any more
@@ -86,8 +83,8 @@ def _settled(
 ) -> Settled:
     """missed: (k,) if it is known."""
     shape, prior, settings = task.shape, task.prior, task.settings
-    count, amounts = len(states), len(_AMOUNTS)
-    noise = Noise(task.sight, shape, settings, 0.0, _AMOUNTS)
+    count, amounts = len(states), len(AMOUNTS)
+    noise = Noise(task.sight, shape, settings, 0.0, AMOUNTS)
     windows = windows.repeat(amounts)
     fitted = np.repeat(states, amounts, axis=0)
     matches = matches.take(np.repeat(np.arange(count), amounts))
@@ -98,7 +95,8 @@ def _settled(
     covariances = np.linalg.inv(step.information)
     log_prior = 0.5 * np.linalg.slogdet(prior.precision)[1] - 1.5 * _LOG_2PI - 0.5 * step.prior + windows.logs(fitted)
     log_volume = 3.0 * _LOG_2PI - 0.5 * np.linalg.slogdet(step.information)[1]
-    logs = matches.gains + log_prior + log_volume - np.log(shape.area_m2 * 2.0 * np.pi) + np.tile(_LOG_OFTEN, count)
+    log_somewhere = -np.log(shape.area_m2 * 2.0 * np.pi)
+    logs = matches.gains + log_prior + log_volume + log_somewhere + np.tile(log_often(task.sight), count)
     xy = fitted[:, :2]
     possible = ((xy > shape.box[:2]) & (xy < shape.box[2:])).all(axis=1) & (step.numbers >= _LEAST_NUMBERS)
     logs = np.where(possible, logs, -np.inf).reshape(count, amounts)
@@ -111,7 +109,7 @@ def _settled(
     second = covariances.reshape(count, amounts, 6, 6) + off[..., None] * off[..., None, :]
     covariance = np.einsum("ks,ksij->kij", shares, second)
     # a lens and a map that fit in all that residuals show are right in what they do not show, too
-    systematic = np.minimum(_HIDDEN * np.exp(shares @ np.log(_AMOUNTS)), 1.0)
+    systematic = np.minimum(_HIDDEN * np.exp(shares @ np.log(AMOUNTS)), 1.0)
     # an error of the focal length moves the fit
     by_focal = (covariances @ step.by_focal[..., None])[rows] * (settings.focal * systematic)[:, None, None]
     covariance = covariance + by_focal @ np.swapaxes(by_focal, 1, 2)
