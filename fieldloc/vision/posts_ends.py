@@ -88,7 +88,7 @@ def _hue_change(picture: UInt8Array, edges: Lines, foot_v: float, own: FloatArra
     column = np.rint(left + np.array([[0.35], [0.5], [0.65]]) * (right - left)).astype(np.intp)
     if len(v) < 4 or (column < 0).any() or (column >= picture.shape[1]).any():
         return None
-    colours = np.stack([own, turf, *picture[v, column].mean(axis=0)])
+    colours = np.concatenate([[own, turf], picture[v, column].mean(axis=0)])
     hue = colours / (colours.sum(axis=1, keepdims=True) + 30.0)
     towards = hue[1] - hue[0]
     share = (hue[2:] - hue[0]) @ towards / max(float(towards @ towards), 1e-9)
@@ -142,7 +142,7 @@ def _steps(
         return None
     numbers = picture[v, column]
     span = float(direction @ direction)
-    profiles = np.stack([numbers.astype(np.float64), LIGHT[numbers].astype(np.float64)]) @ direction
+    profiles = np.array([numbers, LIGHT[numbers]], dtype=np.float64) @ direction
     step = _step(profiles.reshape(-1, len(v)), least * span)
     rows = (v[0] + outwards * step).reshape(2, -1)
     good = np.isfinite(rows).all(axis=0)

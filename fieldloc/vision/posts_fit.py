@@ -168,7 +168,8 @@ def _robust(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArra
     whichever is more."""
     robust = np.ones_like(weight)
     count = np.count_nonzero(weight, axis=-1)
-    middle = np.maximum(count - 1, 0)[..., None] // 2
+    middle = np.maximum(count - 1, 0) // 2
+    each = tuple(np.indices(count.shape))
     terms = np.array([np.ones_like(y), y, y * y, x, x * y])
     for step in range(_STEPS):
         both = weight * robust
@@ -179,7 +180,7 @@ def _robust(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArra
         if step == _STEPS - 1:
             break
         scaled = np.where(weight > 0.0, np.abs(residual) * np.sqrt(weight), np.inf)
-        scale = np.maximum(1.4826 * np.take_along_axis(np.sort(scaled, axis=-1), middle, axis=-1), 1e-3)
+        scale = np.maximum(1.4826 * np.sort(scaled, axis=-1)[*each, middle], 1e-3)[..., None]
         robust = np.where(weight > 0.0, 1.0 / (1.0 + (np.minimum(scaled, 1e6) / (_TUNING * scale)) ** 2), 0.0)
     spread = np.sum(both * residual**2, axis=-1) / np.maximum(robust.sum(axis=-1) - 2.0, 1.0)
     inverse = np.stack([np.stack([second, -first], axis=-1), np.stack([-first, mass], axis=-1)], axis=-2)

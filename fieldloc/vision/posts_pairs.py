@@ -1,6 +1,6 @@
 """Pairs of upright edges between which everything has the post's colour: what may be a piece of a post."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ class Strips:
     contrast: FloatArray
 
     def take(self, which: Mask | NDArray[np.intp]) -> "Strips":
-        return Strips(*(getattr(self, field.name)[which] for field in fields(self)))
+        return Strips(self.left[which], self.right[which], self.rows[which], self.width_px[which], self.contrast[which])
 
     def left_at(self, v: FloatArray) -> FloatArray:
         """(n, k) u of the left edges at rows (n, k)."""
@@ -105,7 +105,7 @@ def _reaching(edges: Edges, turf: Turf) -> Mask:
     hidden, or before a board of the post's colour."""
     v = edges.rows[:, 1] + np.maximum(edges.rows[:, 1] - edges.rows[:, 0], 8.0) + 3.0
     u = edges.lines[:, 0] + edges.lines[:, 1] * v
-    return np.asarray(turf.below_px(np.stack([u, v], axis=-1)) > 0.0)
+    return np.asarray(turf.below_uv(u, v) > 0.0)
 
 
 def _uniform(strips: Strips, band: Band) -> Strips:
@@ -131,7 +131,8 @@ def _uniform(strips: Strips, band: Band) -> Strips:
     good &= darkest > brighter_side + 0.3 * (level - brighter_side)
     score = np.where(good, contrast * np.sqrt(np.maximum(length, 0.0)), -1.0)
     keep = np.argsort(-score, kind="stable")[: min(_MOST, int(np.count_nonzero(good)))]
-    return replace(strips.take(clear[keep]), contrast=contrast[keep])
+    kept = clear[keep]
+    return Strips(strips.left[kept], strips.right[kept], strips.rows[kept], strips.width_px[kept], contrast[keep])
 
 
 def _median(values: FloatArray) -> FloatArray:

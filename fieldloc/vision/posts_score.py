@@ -29,7 +29,7 @@ def score_of(
     score = np.minimum(_CLEAR, strips.contrast / np.maximum(level, 1.0))
     score += _EVEN * np.clip(1.0 - _unevenness(strips, view, top_v, foot_v) / _UNEVEN, -1.5, 1.0)
     middle = 0.5 * (strips.left_at(foot_v[:, None]) + strips.right_at(foot_v[:, None]))[:, 0]
-    behind = turf.below_px(np.stack([middle, foot_v], axis=1)) / strips.width_px
+    behind = turf.below_uv(middle, foot_v) / strips.width_px
     score -= np.where(behind < _BEHIND, _AT_BORDER, np.where(behind > _INSIDE, _WITHIN, 0.0))
     return np.asarray(score - _REPEATED * np.minimum(_like_it(strips, top_v, foot_v), 3))
 

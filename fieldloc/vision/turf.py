@@ -69,10 +69,13 @@ class Turf:
 
     def below_px(self, points_px: FloatArray) -> FloatArray:
         """(...,) how far below the field's upper border points (..., 2) are; negative above, -inf without a field."""
+        return self.below_uv(points_px[..., 0], points_px[..., 1])
+
+    def below_uv(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
+        """As `below_px`, of columns and rows."""
         if self.boundary_px is None:
-            return np.full(points_px.shape[:-1], -np.inf)
-        border = np.interp(points_px[..., 0], self.boundary_px[:, 0], self.boundary_px[:, 1])
-        return np.asarray(points_px[..., 1] - border, dtype=np.float64)
+            return np.full(v_px.shape, -np.inf)
+        return np.asarray(v_px - np.interp(u_px, self.boundary_px[:, 0], self.boundary_px[:, 1]), dtype=np.float64)
 
 
 def find_turf(picture: UInt8Array, colours: FieldColours = _WHITE_POSTS) -> Turf:

@@ -4,7 +4,7 @@ What is white is told from sunlit turf by the colour of the step, not by its bri
 red rise more than green; from shade to sun, less. So a thin, blurred or shaded line passes, a stripe of sun does not.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -45,7 +45,7 @@ class Runs:
     last_px: FloatArray
 
     def take(self, which: NDArray[np.intp]) -> "Runs":
-        return Runs(*(getattr(self, field.name)[which] for field in fields(self)))
+        return Runs(self.scan[which], self.down[which], self.at_px[which], self.first_px[which], self.last_px[which])
 
     def pixels(self, along_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(..., n) u and v of places (..., n) along the scan lines."""
