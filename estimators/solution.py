@@ -37,7 +37,8 @@ WEAK_SIGMAS = np.array([100.0, 100.0, 10.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """poses: (n, 3) of the chain's nodes; covariances: (n, 3, 3) marginal, robot frame.
+    """poses: (n, 3) of the chain's nodes; covariances: (n, 3, 3) marginal, robot frame; what they have of the
+    map's errors comes on top (estimators.surveyed_errors).
 
     global_covariance: (GLOBALS, GLOBALS) marginal of the odometry's calibration and the sensor's, in that order; zeros
     for what was not free.

@@ -28,7 +28,7 @@ from fieldloc.scan_gains import gains
 from fieldloc.scan_mixture import ScanMixture
 
 _NOTHING_M = 5e-4  # next to what any sensor sees of a landmark
-_AT_ONCE = 32  # landmarks
+_AT_ONCE = 250_000  # poses times landmarks: two hundred megabytes
 
 
 class _Sight(NamedTuple):
@@ -43,12 +43,13 @@ class _Sight(NamedTuple):
 
 class _Pulls(NamedTuple):
     """(k,) nodes and landmarks; (k, 3, 2) by how much what was seen there pulls more at the pose that it was seen from,
-    robot frame, for each metre that the landmark is moved on the map. as_noise: (k,) as of fieldloc.scan_gains."""
+    robot frame, for each metre that the landmark is moved on the map. noise: (k, 3, 3) what the landmark's place makes
+    of the pulls' covariance, as far as scans were read as if it were off anew each time."""
 
     nodes: IntArray
     landmarks: IntArray
     pulls: FloatArray
-    as_noise: FloatArray
+    noise: FloatArray
 
 
 def survey_of(field: FieldMap, sigma_m: float) -> FloatArray:
@@ -74,15 +75,15 @@ def with_survey(
     if (np.trace(places, axis1=1, axis2=2) < _NOTHING_M**2).all():
         return solution
     seen_from = chain.seen_from(solution.poses, solution.calibration, solution.sensor)
-    nodes, landmarks, pulls, as_noise = _all_pulls(sights, seen_from, config.graph.cauchy)
+    nodes, landmarks, pulls, noise = _all_pulls(sights, seen_from, config.graph.cauchy)
     roots = np.linalg.cholesky(places + 1e-18 * np.eye(2))
     covariances, common = solution.covariances.copy(), solution.global_covariance.copy()
     engine = Considered(chain, config, solution)
-    if as_noise.any():  # then some of it is in there already
-        spread = pulls @ roots[landmarks] * np.sqrt(as_noise)[:, None, None]
-        by_pose, by_common = engine.due_to(nodes, spread @ spread.swapaxes(1, 2))
+    if noise.any():  # is in there already
+        by_pose, by_common = engine.due_to(nodes, noise)
         covariances, common = covariances - by_pose, common - by_common
-    for those in np.array_split(np.unique(landmarks), len(np.unique(landmarks)) // _AT_ONCE + 1):
+    seen = np.unique(landmarks)
+    for those in np.array_split(seen, min(len(seen), len(seen) * len(covariances) // _AT_ONCE + 1)):
         rows = np.isin(landmarks, those)
         columns = np.searchsorted(those, landmarks[rows])
         by_pose, by_common = engine.changes(nodes[rows], columns, pulls[rows] @ roots[landmarks[rows]], len(those))
@@ -119,7 +120,15 @@ def _of_fixes(sights: Sequence[_Sight], seen_from: FloatArray, cauchy: float) ->
     slope = se2.right_jacobian_inverse(error)
     weighted = _under_kernel(error, np.array([factor.covariance for factor in factors]), cauchy)
     whole = slope.swapaxes(1, 2) @ weighted @ slope
-    return _Pulls(nodes[found.scans], found.landmarks, -whole[found.scans] @ found.moves, found.as_noise)
+    pulls = -whole[found.scans] @ found.moves
+    noise = _noise(sights[0].mixture.field_map, found.landmarks, pulls, found.as_noise)
+    if noise.any():
+        of_scan = np.zeros_like(whole)
+        np.add.at(of_scan, found.scans, noise)
+        # no more than all that a fix knows, which where it bends is not of first order
+        share = np.linalg.eigvals(np.linalg.solve(whole, of_scan)).real.max(axis=1)
+        noise = noise / np.maximum(1.0, share)[found.scans, None, None]
+    return _Pulls(nodes[found.scans], found.landmarks, pulls, noise)
 
 
 def _one_by_one(sights: Sequence[_Sight], seen_from: FloatArray, cauchy: float) -> _Pulls:
@@ -138,7 +147,14 @@ def _one_by_one(sights: Sequence[_Sight], seen_from: FloatArray, cauchy: float) 
     known = np.array([model.survey is not None for model in models])
     wider = np.concatenate([model.wider[each[each >= 0], 0] for model, each in zip(models, matches, strict=True)])
     landmarks = np.concatenate([each[each >= 0] for each in matches])
-    return _Pulls(nodes, landmarks, slope.swapaxes(1, 2) @ weighted @ by_place, wider * known[scans])
+    pulls = slope.swapaxes(1, 2) @ weighted @ by_place
+    return _Pulls(nodes, landmarks, pulls, _noise(sights[0].mixture.field_map, landmarks, pulls, wider * known[scans]))
+
+
+def _noise(field: FieldMap, landmarks: IntArray, pulls: FloatArray, wider: FloatArray) -> FloatArray:
+    """(k, 3, 3) that places as known to the map have in pulls (k, 3, 2), variances so much wider (k,)."""
+    places = field.positions_covariance[landmarks] * wider[:, None, None]
+    return np.asarray(pulls @ places @ pulls.swapaxes(1, 2))
 
 
 def _under_kernel(error: FloatArray, covariance: FloatArray, cauchy: float) -> FloatArray:

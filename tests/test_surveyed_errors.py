@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.bounds import KNOWN, walk
+from benchmarks.bounds import KNOWN, range_bearing, walk
 from estimators import resolve
 from estimators.chain import Chain, Recorded
 from estimators.chosen import Chosen
@@ -187,6 +187,29 @@ def test_a_map_that_is_exact_adds_nothing() -> None:
     measured = replace(log, field=with_survey_sigma(log.field, 1e-4))  # by cameras on the ceiling
     known, same = both(measured, replace(EXACT, survey=Survey(0.5)))
     np.testing.assert_array_equal(same.covariances, known.covariances)
+
+
+def test_for_eyes_that_are_next_to_perfect_what_is_left_is_the_map() -> None:
+    one_walk, sigma_m = walk(10, 4.0), 0.02
+    measurements = list[Measurement]()
+    for one in one_walk.recording.measurements:
+        if isinstance(one, LandmarkScan):
+            pose = one_walk.poses[np.searchsorted(one_walk.stamps_ns, one.stamp_ns)]
+            one = replace(one, range_bearing=range_bearing(pose), covariance=1e-4 * one.covariance)
+        elif isinstance(one, Odometry):
+            one = replace(one, covariance=NOWHERE)
+        measurements.append(one)
+    wrong = moved(one_walk.recording, sigma_m * np.random.default_rng(10).standard_normal((6, 2)))
+    wrong = replace(wrong, field=with_survey_sigma(wrong.field, sigma_m), measurements=tuple(measurements))
+    said = solved(wrong, replace(EXACT, correlation=ErrorCorrelation()))
+    scans = slice(0, None, 2)
+    widths = np.linalg.eigvalsh(said.covariances[scans, :2, :2])
+    # the mean of six is the best that can be had
+    assert widths.min() > 0.99 * sigma_m**2 / 6
+    assert widths.max() < 0.5 * sigma_m**2
+    error = se2.local(said.poses, one_walk.poses)[scans]
+    squares_of_all = np.sum(error * np.linalg.solve(said.covariances[scans], error[..., None])[..., 0], axis=1)
+    assert squares_of_all.max() < 16.3  # chi-square of 3, once in a thousand
 
 
 @pytest.mark.parametrize("landmarks", [6, 1], ids=["as a pose", "one by one"])
