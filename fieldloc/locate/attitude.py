@@ -19,7 +19,8 @@ from fieldloc.locate.states import cross, rotations, turn_axes
 from fieldloc.pose import FloatArray
 
 _HEADINGS = np.radians(np.arange(-45.0, 45.0, 10.0))
-_OFF = np.array([[0.0, 0.0], [-1.2, 0.0], [1.2, 0.0], [0.0, -1.2], [0.0, 1.2]])  # in standard deviations
+# In standard deviations. Two lines leave the pitch to the prior, which is two of these off in one picture of 22.
+_OFF = np.array([[0.0, 0.0], [-1.2, 0.0], [1.2, 0.0], [-2.2, 0.0], [2.2, 0.0], [0.0, -1.2], [0.0, 1.2]])
 _WIDE_PITCHES = np.radians([-15.0, 0.0, 15.0, 30.0, 45.0, 60.0])
 _ANNEALED_PX = (25.0, 12.0, 6.0)  # noise that is allowed for, from iteration to iteration, of all starts
 _FINE_PX = (2.0, 0.3)  # and then of the best of them
