@@ -15,7 +15,7 @@ _OFTEN: FloatArray = np.log(np.array([0.6, 0.005, 0.19, 0.19, 0.01]))
 _EXACT = AMOUNTS < 0.1
 _LONG_PX = 100.0  # of lines that are long enough to tell
 # Of the straightest of these, how far its ends may be off by its own scatter, px: the logarithm's mean and deviation.
-_DRAWN = np.log(0.022), 0.35
+_DRAWN = np.log(0.018), 0.35
 _REAL = np.log(0.09), 0.8  # 0.03 to 0.4 px in pictures of five cameras
 _NOISY = 0.5  # share of the exact ones in which it is as in the others, by noise of the camera or of another detector
 

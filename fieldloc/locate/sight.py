@@ -19,7 +19,7 @@ _MOST_LINES = 24
 _MOST_POSTS = 8
 _MOST_POINTS = 24  # of the circles: more say nothing that these do not
 _SHORTEST_PX = 6.0
-_LEAST_PX2 = 1e-4
+_LEAST_PX2 = 1e-6  # only so that no noise is none: who detects states what pixels err by
 
 
 @dataclass(frozen=True, slots=True, eq=False)
