@@ -24,5 +24,5 @@ class LocateSettings:
     seen_circle: float = 0.7
     none_right: float = 0.05
     trust: float = 0.5
-    candidates: int = 30
+    candidates: int = 24
     hypotheses: int = 80
