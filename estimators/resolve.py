@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimators.breaks import was_carried, was_put_back
+from estimators.breaks import unsure_when, was_carried, was_put_back
 from estimators.chain import Recorded
 from estimators.chosen import Chosen
 from estimators.config import Config
@@ -23,6 +23,7 @@ from estimators.modes import ModeSequence
 from estimators.reading import read_track
 from estimators.resolved import Resolution
 from estimators.seeds import on_copies, seeds, surest, whole_poses
+from estimators.slips import with_slips
 from estimators.stretches import Story, put_down_ns, stories
 from estimators.surveyed_errors import with_survey
 from estimators.tracks import Seed, Tracks, follow
@@ -114,7 +115,9 @@ def resolve(
     else:
         answer = settle(log, story, config, chosen=chosen)
         settled, evidence = [answer], [0.0]
+    log, answer = with_slips(log, story, answer, config, chosen)
     answer = settled_in_time(log, story, answer, told_config, chosen) if late else finished(answer, config)
+    answer = unsure_when(log, answer)
     solution = with_survey(log, answer.choices, chosen, answer.chain, answer.solution, told_config)
     stamps_ns = recorded.stamps_ns
     order, ranked = _ranked(settled, np.array(evidence), best)
