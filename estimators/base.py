@@ -127,6 +127,14 @@ class Seeing(Protocol):
 
 
 @runtime_checkable
+class Watching(Protocol):
+    """An estimator that heeds when images cease to come: a robot that falls or is carried sees nothing."""
+
+    def looked(self) -> None:
+        """There was an image at the stamp that is reached, whatever was seen in it."""
+
+
+@runtime_checkable
 class Guessing(Protocol):
     """An estimator that has an idea of the pose before it would call it an estimate."""
 

@@ -68,6 +68,9 @@ class Ekf:
         self._restart.advance(motion)
         self._pending = self._pending.then(motion)
 
+    def looked(self) -> None:
+        self._motion.looked()
+
     def update(self, factor: Factor) -> Innovation | None:
         self.advance(factor.stamp_ns)
         view = of_factor(self._views, factor, self._extra, self._filter.P[3:, 3:])

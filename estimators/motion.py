@@ -9,6 +9,7 @@ import numpy as np
 
 from estimators.config import MotionNoise
 from estimators.recent import Recent
+from estimators.silence import FALLEN, Silence
 from fieldloc.measurements import Odometry
 from fieldloc.one_pose import after, arc, composed, spread
 from fieldloc.pose import FloatArray
@@ -137,7 +138,7 @@ class HeldVelocity:
 
     Stamps that run backwards move nothing; an odometry message older than the last one is not used. scales: (PARTS,) by
     how much the variances are larger than is thought or stated. delay_s: what a message says happens so much later than
-    its stamp.
+    its stamp. Where images cease to come, the motion is as uncertain as that of a robot that fell.
     """
 
     def __init__(self, noise: MotionNoise, delay_s: float = 0.0) -> None:
@@ -146,6 +147,7 @@ class HeldVelocity:
         self._waiting: deque[Odometry] = deque()
         self.scales = _AS_SAID
         self._recent = Recent()
+        self._silence = Silence()
         self._odometry: Odometry | None = None
         self._period_s = 0.0
         self.stamp_ns: int | None = None
@@ -187,7 +189,15 @@ class HeldVelocity:
         while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
             motion = _joined(motion, self._advance(self._waiting[0].stamp_ns))
             self._hold(self._waiting.popleft())
-        return _joined(motion, self._advance(stamp_ns))
+        motion = _joined(motion, self._advance(stamp_ns))
+        if motion is not None and self._silence.begins(stamp_ns):
+            motion = replace(motion, covariance=motion.covariance + FALLEN)
+        return motion
+
+    def looked(self) -> None:
+        """There was an image at the last stamp."""
+        if self.stamp_ns is not None:
+            self._silence.end(self.stamp_ns)
 
     def _advance(self, stamp_ns: int) -> Increment | None:
         before_ns, self.stamp_ns = self.stamp_ns, stamp_ns if self.stamp_ns is None else max(stamp_ns, self.stamp_ns)

@@ -16,12 +16,12 @@ from estimators.chain import Recorded
 from estimators.chosen import Chosen
 from estimators.config import Config
 from estimators.joint import Settled, settle
+from estimators.silence import FALLEN
 from estimators.stretches import Story
 from fieldloc.covariance import log_peaks
 from fieldloc.pose import FloatArray
 
 _UNSEEN_S = 1.0
-_AS_FAR = np.diag([0.3, 0.3, 0.5]) ** 2  # a fall: its own length, and turned while it gets up
 _SURELY = np.log(100.0)  # as for a break: evidence at solutions is off by some of that
 
 Gap = tuple[int, int]
@@ -35,7 +35,7 @@ def with_slips(
     gaps = _unseen(recorded, answer)
     if not gaps:
         return recorded, answer
-    doubted = _doubted(recorded, dict.fromkeys(gaps, _AS_FAR))
+    doubted = _doubted(recorded, dict.fromkeys(gaps, FALLEN))
     chain = replace(answer.chain, motions=doubted.carried(answer.breaks), guess=answer.solution.poses)
     trial = replace(answer, chain=chain, solution=chain_engine.solve(chain, config, answer.solution))
     slips = {gap: by for gap in gaps if (by := _slipped(recorded, trial, gap, config)) is not None}
@@ -58,7 +58,7 @@ def _unseen(recorded: Recorded, answer: Settled) -> list[Gap]:
 
 
 def _doubted(recorded: Recorded, gaps: dict[Gap, FloatArray]) -> Recorded:
-    """With so much more covariance (3, 3) in each gap: a third of it at once, as a robot that falls loses sight by that,
+    """With so much more covariance (3, 3) in each gap: a third of it at once, as a robot that falls loses sight by it,
     a third as it gets up and sees again, the rest in between."""
     motions = list(recorded.motions)
     for (before, after), covariance in gaps.items():
@@ -80,7 +80,7 @@ def _slipped(recorded: Recorded, trial: Settled, gap: Gap, config: Config) -> Fl
     before, after = trial.solution.covariances[list(gap)]
     known = odometry + before + after  # turned a little against each other
     unseen_min = (recorded.stamps_ns[gap[1]] - recorded.stamps_ns[gap[0]]) / 60e9
-    covariances = np.array([known, known + _AS_FAR])
+    covariances = np.array([known, known + FALLEN])
     squared = np.sum(apart * np.linalg.solve(covariances, np.broadcast_to(apart, (2, 3))[..., None])[..., 0], axis=1)
     straight, slip = log_peaks(covariances) - 0.5 * squared
     if slip + np.log(config.mixture.kidnaps_per_min * unseen_min) - _SURELY < straight:

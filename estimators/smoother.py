@@ -79,6 +79,9 @@ class Smoother:
         self._filter.advance(stamp_ns)
         self._record(stamp_ns)
 
+    def looked(self) -> None:
+        self._filter.looked()
+
     def update(self, factor: Factor) -> Innovation | None:
         self._tell()
         innovation = self._filter.update(factor)

@@ -17,6 +17,7 @@ from estimators.base import (
     MixtureEstimator,
     Seeing,
     Settled,
+    Watching,
 )
 from estimators.config import Config
 from estimators.smoother import Smoother
@@ -102,6 +103,7 @@ class Run:
         self._several = estimator if isinstance(estimator, MixtureEstimator) else None
         self._seeing = estimator if isinstance(estimator, Seeing) else None
         self._guessing = estimator if isinstance(estimator, Guessing) else None
+        self._watching = estimator if isinstance(estimator, Watching) else None
         self._settled = estimator if isinstance(estimator, Settled) else None
         self._unusable: list[str] = []
 
@@ -134,6 +136,8 @@ class Run:
     def _observe(self, measurement: Observation) -> None:
         estimator = self.estimator
         factors: tuple[Factor, ...] = ()
+        if self._watching is not None and isinstance(measurement, ImageFeatures):
+            self._watching.looked()
         try:
             if (mixture := self._builder.build(measurement)) is None:
                 return

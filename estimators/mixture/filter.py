@@ -108,6 +108,9 @@ class MixtureFilter:
             self._pending = self._pending.then(motion)
             self._restart.advance(motion)
 
+    def looked(self) -> None:
+        self._motion.looked()
+
     def update(self, factor: Factor) -> Innovation | None:
         """A factor of one solution: as an extended Kalman filter does, in each of the hypotheses."""
         self.advance(factor.stamp_ns)

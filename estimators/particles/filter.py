@@ -87,6 +87,9 @@ class ParticleFilter:
             self._pending = self._pending.then(motion)
             self._restart.advance(motion)
 
+    def looked(self) -> None:
+        self._motion.looked()
+
     def update(self, factor: Factor) -> Innovation | None:
         self.advance(factor.stamp_ns)
         view = of_factor(self._views, factor, self._extra, self._known)
