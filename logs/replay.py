@@ -1,4 +1,4 @@
-"""A log through an estimator: the loop that the robot runs, with a file as the source."""
+"""A log through an estimator: the loop that the robot runs (estimators.loop), with a file as the source."""
 
 import time
 from collections.abc import Iterator
@@ -7,29 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.base import (
-    Ambiguity,
-    Ambiguous,
-    Estimate,
-    Estimator,
-    Event,
-    Guessing,
-    MixtureEstimator,
-    Seeing,
-    Settled,
-    Watching,
-)
+from estimators.base import Ambiguity, Ambiguous, Estimate, Estimator, Event
 from estimators.config import Config
+from estimators.loop import FAILURES, Loop, Start, first_line
 from estimators.smoother import Smoother
 from fieldloc.errors import FieldlocError
-from fieldloc.factors import Factor
-from fieldloc.field import FieldMap
-from fieldloc.measurements import ImageFeatures, Measurement, Observation, Odometry
-from fieldloc.mixture import MixtureFactor
-from fieldloc.mixture_builder import MixtureBuilder
+from fieldloc.measurements import Measurement, Odometry
 from fieldloc.pose import FloatArray
-from fieldloc.regions import Region, anywhere, region
-from fieldloc.resolution import Belief, sure
 from fieldloc.scan_noises import LearnedNoise
 from logs.kept import KeptAmbiguities
 from logs.progress import Progress, unwatched
@@ -37,9 +21,7 @@ from logs.recording import Recording
 from logs.schema import seconds
 
 _DEFAULTS = Config()
-_START_COVARIANCE = np.diag([0.1, 0.1, np.radians(5.0)]) ** 2
 _PROGRESS_EVERY = 500
-_FAILURES = (ValueError, ArithmeticError, RuntimeError)  # of numpy, scipy and gtsam at numbers beyond all reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,58 +56,30 @@ class Step:
 class Run:
     """An estimator on its way through a recording.
 
-    start: at the first measurement, a pose (3,) known to about 0.1 m and 5 deg, or a region or its name
-    (`fieldloc.regions`). config: how long errors stay alike, how reliably things are seen. FieldlocError where the map
-    has no such region.
+    start: as of `estimators.loop.Loop`. config: how long errors stay alike, how reliably things are seen. FieldlocError
+    where the map has no such region.
     """
 
     def __init__(
-        self,
-        recording: Recording,
-        estimator: Estimator,
-        start: FloatArray | Region | str | None = None,
-        config: Config = _DEFAULTS,
+        self, recording: Recording, estimator: Estimator, start: Start = None, config: Config = _DEFAULTS
     ) -> None:
         self.recording = recording
         self.estimator = estimator
-        self._told = start if isinstance(start, np.ndarray) else None
-        self._region = _region(start, recording.field)
-        self._builder = MixtureBuilder(
-            recording.field,
-            recording.camera,
-            config.correlation,
-            config.detection,
-            config.mount,
-            config.scan_noise,
-            config.scan_distortion,
-        )
-        # asked once: asking what an object can do costs more than most of what it does
-        self._several = estimator if isinstance(estimator, MixtureEstimator) else None
-        self._seeing = estimator if isinstance(estimator, Seeing) else None
-        self._guessing = estimator if isinstance(estimator, Guessing) else None
-        self._watching = estimator if isinstance(estimator, Watching) else None
-        self._settled = estimator if isinstance(estimator, Settled) else None
-        self._unusable: list[str] = []
+        self._loop = Loop(recording.field, recording.camera, estimator, start, config)
 
     def steps(self) -> Iterator[Step]:
         """Measurement by measurement, once. FieldlocError where the estimator fails."""
-        estimator = self.estimator
+        estimator, loop = self.estimator, self._loop
         looks_back = isinstance(estimator, Smoother)
         first_ns = self.recording.measurements[0].stamp_ns
         with self._failing(first_ns):
-            if self._several is not None:
-                self._several.start_in(self._region, first_ns)
-            if self._told is not None:
-                estimator.start(Estimate(first_ns, self._told, _START_COVARIANCE))
+            loop.begin(first_ns)
         for measurement in self.recording.measurements:
             update_s, now = None, None
             with self._failing(measurement.stamp_ns):
-                if isinstance(measurement, Odometry):
-                    estimator.predict(measurement)
-                else:
-                    before = time.perf_counter()
-                    estimator.advance(measurement.stamp_ns)
-                    self._observe(measurement)
+                before = time.perf_counter()
+                loop.take(measurement)
+                if not isinstance(measurement, Odometry):
                     update_s = time.perf_counter() - before
                 if update_s is not None or not looks_back:  # nobody waits for it who looks back
                     now = estimator.estimate()
@@ -133,50 +87,12 @@ class Run:
                     _check(now)
             yield Step(measurement, now, update_s)
 
-    def _observe(self, measurement: Observation) -> None:
-        estimator = self.estimator
-        factors: tuple[Factor, ...] = ()
-        if self._watching is not None and isinstance(measurement, ImageFeatures):
-            self._watching.looked()
-        try:
-            if (mixture := self._builder.build(measurement)) is None:
-                return
-            if self._several is None:
-                factors = sure(mixture, _belief(self._where(mixture)), self._region.log_density)
-        except _FAILURES as error:  # numbers beyond all arithmetic
-            kind = type(measurement).__name__
-            at = seconds(measurement.stamp_ns)
-            self._unusable.append(f"{kind} at {at} cannot be computed with: {_first_line(error)}")
-            return
-        if self._several is not None:
-            self._several.observe(mixture)
-        for factor in factors:
-            estimator.update(factor)
-        now = self._where(mixture)
-        if now is None:
-            self._builder.remember(measurement, mixture, None)
-        elif isinstance(measurement, ImageFeatures) and self._is_sure():
-            self._builder.remember(measurement, mixture, now.pose, now.robot_covariance)
-        else:
-            self._builder.remember(measurement, mixture, now.pose)
-
-    def _where(self, mixture: MixtureFactor) -> Estimate | None:
-        """What the estimator thinks of the pose that the mixture is about."""
-        if mixture.by_sight and self._seeing is not None:
-            return self._seeing.seen_from()
-        if self._guessing is not None:
-            return self._guessing.likeliest()
-        return self.estimator.estimate()
-
-    def _is_sure(self) -> bool:
-        return self._settled.settled if self._settled is not None else self.estimator.estimate() is not None
-
     def trajectory(self) -> tuple[Estimate, ...] | None:
         """The past in the light of all steps taken, None where the estimator cannot look back."""
         if not isinstance(self.estimator, Smoother):
             return None
         with self._failing(None):
-            self.estimator.relearn(self._builder.relearned)
+            self.estimator.relearn(self._loop.builder.relearned)
             estimates = self.estimator.trajectory()
             for now in estimates:
                 _check(now)
@@ -185,30 +101,32 @@ class Run:
     @property
     def scan_noises(self) -> tuple[LearnedNoise, ...]:
         """How noisy the scans of each sensor have turned out to be."""
-        return self._builder.scan_noises()
+        return self._loop.builder.scan_noises()
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What could not be used so far."""
-        warnings = [*self._builder.warnings()]
-        if self._unusable:
-            warnings.append(f"{len(self._unusable)} measurements left out, the first: {self._unusable[0]}")
+        warnings = [*self._loop.builder.warnings()]
+        if unusable := self._loop.unusable:
+            kind, stamp_ns, why = unusable[0]
+            first = f"{kind} at {seconds(stamp_ns)} cannot be computed with: {why}"
+            warnings.append(f"{len(unusable)} measurements left out, the first: {first}")
         return tuple(f"{self.recording.name}: {warning}" for warning in warnings)
 
     @contextmanager
     def _failing(self, at_ns: int | None) -> Iterator[None]:
         try:
             yield
-        except _FAILURES as error:
+        except FAILURES as error:
             when = "solving" if at_ns is None else f"at {seconds(at_ns)}"
             name = type(self.estimator).__name__
-            raise FieldlocError(f"{self.recording.name}: {name} failed {when}: {_first_line(error)}") from error
+            raise FieldlocError(f"{self.recording.name}: {name} failed {when}: {first_line(error)}") from error
 
 
 def replay(
     recording: Recording,
     estimator: Estimator,
-    start: FloatArray | Region | str | None = None,
+    start: Start = None,
     config: Config = _DEFAULTS,
     progress: Progress = unwatched,
 ) -> Replay:
@@ -245,23 +163,6 @@ def replay(
     events = () if ambiguous is None else tuple(sorted(ambiguous.events, key=lambda event: event.stamp_ns))
     total_s = time.perf_counter() - began
     return Replay(tuple(estimates), np.array(update_s), total_s, run.warnings, kept.all(), events, run.scan_noises)
-
-
-def _region(start: FloatArray | Region | str | None, field: FieldMap) -> Region:
-    if isinstance(start, str):
-        return region(start, field)
-    return start if isinstance(start, Region) else anywhere(field)
-
-
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).strip().splitlines()), type(error).__name__)
-
-
-def _belief(now: Estimate | None) -> Belief | None:
-    """None also for one that is no number: who gave it is told so where it is checked."""
-    if now is None or not (np.isfinite(now.pose).all() and np.isfinite(now.covariance).all()):
-        return None
-    return Belief(now.pose, now.robot_covariance)
 
 
 def _check(estimate: Estimate) -> None:

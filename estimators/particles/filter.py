@@ -143,7 +143,7 @@ class ParticleFilter:
 
     @property
     def learned(self) -> tuple[FloatArray, FloatArray]:
-        """Mean (9,) and covariance (9, 9) of what is marginalised: `estimators.views` without the compass."""
+        """Mean and covariance of what is marginalised: as `MixtureFilter.learned`."""
         return self._calibration.mean, self._calibration.covariance(self._moments.pooled)
 
     def _seen(self, view: View) -> Estimate | None:
