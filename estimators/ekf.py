@@ -118,7 +118,7 @@ class Ekf:
         if self._pose is None or self._motion.stamp_ns is None:
             return None
         pose = view.of(self._pose, self._extra)
-        covariance = view.covariance(self._filter.P)
+        covariance = self._motion.doubted(view.covariance(self._filter.P))
         return Estimate(self._motion.stamp_ns, pose, se2.rotate_covariance(covariance, pose[2]))
 
     def _trust(self, factor: Factor, residual: FloatArray, expected: FloatArray, nis: float) -> float:

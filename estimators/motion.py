@@ -138,7 +138,7 @@ class HeldVelocity:
 
     Stamps that run backwards move nothing; an odometry message older than the last one is not used. scales: (PARTS,) by
     how much the variances are larger than is thought or stated. delay_s: what a message says happens so much later than
-    its stamp. Where images cease to come, the motion is as uncertain as that of a robot that fell.
+    its stamp.
     """
 
     def __init__(self, noise: MotionNoise, delay_s: float = 0.0) -> None:
@@ -189,15 +189,18 @@ class HeldVelocity:
         while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
             motion = _joined(motion, self._advance(self._waiting[0].stamp_ns))
             self._hold(self._waiting.popleft())
-        motion = _joined(motion, self._advance(stamp_ns))
-        if motion is not None and self._silence.begins(stamp_ns):
-            motion = replace(motion, covariance=motion.covariance + FALLEN)
-        return motion
+        return _joined(motion, self._advance(stamp_ns))
 
     def looked(self) -> None:
         """There was an image at the last stamp."""
         if self.stamp_ns is not None:
             self._silence.end(self.stamp_ns)
+
+    def doubted(self, covariance: FloatArray) -> FloatArray:
+        """(3, 3) of a pose by this motion, on any axes: more where images have ceased to come. That is what is told; what
+        is believed stays as it is, as most silences are none of a robot that fell, and the next image tells."""
+        silent = self.stamp_ns is not None and self._silence.lasts(self.stamp_ns)
+        return covariance + FALLEN if silent else covariance
 
     def _advance(self, stamp_ns: int) -> Increment | None:
         before_ns, self.stamp_ns = self.stamp_ns, stamp_ns if self.stamp_ns is None else max(stamp_ns, self.stamp_ns)

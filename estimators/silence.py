@@ -29,9 +29,5 @@ class Silence:
         if len(self._waits_ns) >= _ENOUGH:
             self._until_ns = stamp_ns + int(max(_LONGER * max(self._waits_ns), _LEAST_S * 1e9))
 
-    def begins(self, stamp_ns: int) -> bool:
-        """Whether one has begun by now; once in each."""
-        if self._until_ns is None or stamp_ns < self._until_ns:
-            return False
-        self._until_ns = None
-        return True
+    def lasts(self, stamp_ns: int) -> bool:
+        return self._until_ns is not None and stamp_ns >= self._until_ns

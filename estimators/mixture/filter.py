@@ -192,10 +192,10 @@ class MixtureFilter:
         if self._config.mixture.whole_covariance:
             bank = self._moved(self._bank).seen(view)
             pose = self._sides.of_one(copy, bank.poses[row])
-            return Estimate(self._now_ns, pose, report.covariance_about(pose, bank, self._sides))
+            return Estimate(self._now_ns, pose, self._motion.doubted(report.covariance_about(pose, bank, self._sides)))
         pose, covariance = self._bank.moved_one(row, self._pending, view)
         pose = self._sides.of_one(copy, pose)
-        return Estimate(self._now_ns, pose, turned(covariance, float(pose[2])))
+        return Estimate(self._now_ns, pose, self._motion.doubted(turned(covariance, float(pose[2]))))
 
     def ambiguity(self) -> Ambiguity | None:
         if (now := self.likeliest()) is None:

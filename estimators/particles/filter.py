@@ -150,7 +150,8 @@ class ParticleFilter:
         if self._cloud is None or self._motion.stamp_ns is None:
             return None
         mean, covariance, _ = self._best()
-        return Estimate(self._motion.stamp_ns, *self._carried(mean, covariance, self._way(view)))
+        pose, covariance = self._carried(mean, covariance, self._way(view))
+        return Estimate(self._motion.stamp_ns, pose, self._motion.doubted(covariance))
 
     def ambiguity(self) -> Ambiguity | None:
         if self._cloud is None or self._motion.stamp_ns is None:
