@@ -197,8 +197,11 @@ class HeldVelocity:
             self._silence.end(self.stamp_ns)
 
     def doubted(self, covariance: FloatArray) -> FloatArray:
-        """(3, 3) of a pose by this motion, on any axes: more where images have ceased to come. That is what is told; what
-        is believed stays as it is, as most silences are none of a robot that fell, and the next image tells."""
+        """(3, 3) of a pose by this motion, on any axes: more where images have ceased to come.
+
+        That is what is told; what is believed stays as it is. Most silences are none of a robot that fell, and the next
+        image tells.
+        """
         silent = self.stamp_ns is not None and self._silence.lasts(self.stamp_ns)
         return covariance + FALLEN if silent else covariance
 
