@@ -10,12 +10,13 @@ from typing import Protocol
 
 from estimators.base import Ambiguity, Ambiguous, Estimate, Estimator
 from estimators.config import Config
-from estimators.loop import Loop, Start
+from estimators.loop import Loop, Start, Unusable, first_line
 from estimators.mixture import MixtureFilter
 from estimators.motion import CALIBRATION, STANDSTILL, HeldVelocity
 from fieldloc import pose as se2
 from fieldloc.camera import Camera
 from fieldloc.field import FieldMap
+from fieldloc.magnitudes import check_magnitudes
 from fieldloc.measurements import Measurement, Odometry
 from fieldloc.pose import FloatArray
 
@@ -68,7 +69,12 @@ class Localizer:
         self.late = 0
 
     def take(self, measurement: Measurement) -> None:
-        """Whatever arrives. One of `estimators.loop.FAILURES` where the estimator fails."""
+        """Whatever arrives; what no arithmetic can use is left out.
+
+        One of `estimators.loop.FAILURES` where the estimator fails.
+        """
+        if isinstance(measurement, Odometry) and not self._is_usable(measurement):
+            return
         if self._shift_ns:
             measurement = replace(measurement, stamp_ns=measurement.stamp_ns + self._shift_ns)
         stamp_ns = measurement.stamp_ns
@@ -122,8 +128,9 @@ class Localizer:
     def warnings(self) -> tuple[str, ...]:
         """What could not be used so far."""
         out = list(self._loop.builder.warnings())
-        for kind, stamp_ns, why in self._loop.unusable:
-            out.append(f"{kind} at {stamp_ns} ns cannot be computed with: {why}")
+        if unusable := self._loop.unusable:
+            kind, stamp_ns, why = unusable[0]
+            out.append(f"{len(unusable)} measurements left out, the first: {kind} at {stamp_ns} ns: {why}")
         if self.late:
             out.append(f"{self.late} measurements came too late")
         return tuple(out)
@@ -133,3 +140,11 @@ class Localizer:
         self._loop.take(measurement)
         if isinstance(measurement, Odometry):
             self._odometry = measurement
+
+    def _is_usable(self, measurement: Measurement) -> bool:
+        try:
+            check_magnitudes(measurement)
+        except ValueError as error:
+            self._loop.unusable.append(Unusable(type(measurement).__name__, measurement.stamp_ns, first_line(error)))
+            return False
+        return True

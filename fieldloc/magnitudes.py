@@ -4,14 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan
+from fieldloc.measurements import Compass, ImageFeatures, InitialPose, LandmarkScan, Measurement, Odometry
 from fieldloc.pose import FloatArray
 
 _MOST = 1e6  # metres, pixels, radians: farther than any robot goes, wider than any image
 _Numbers = tuple[str, FloatArray | float]
 
 
-def check_magnitudes(measurement: LandmarkScan | ImageFeatures | Compass | InitialPose) -> None:
+def check_magnitudes(measurement: Measurement) -> None:
     """ValueError naming the first number beyond a million metres, pixels or radians, or a covariance beyond its square.
 
     Numbers that are not finite pass in scans and images, where they stand for what was not seen; else they are refused.
@@ -27,7 +27,7 @@ def check_magnitudes(measurement: LandmarkScan | ImageFeatures | Compass | Initi
             raise ValueError(f"{name} of {size[np.argmax(wrong)]:.3g} is no measurement: it is beyond {limit:.0e}")
 
 
-def _numbers(measurement: LandmarkScan | ImageFeatures | Compass | InitialPose) -> Iterator[_Numbers]:
+def _numbers(measurement: Measurement) -> Iterator[_Numbers]:
     match measurement:
         case LandmarkScan():
             yield "range", measurement.range_bearing[:, 0]
@@ -36,6 +36,10 @@ def _numbers(measurement: LandmarkScan | ImageFeatures | Compass | InitialPose) 
             yield "place of the sensor", measurement.robot_from_sensor
         case ImageFeatures():
             yield from _of_image(measurement)
+        case Odometry():
+            yield "velocity", measurement.velocity
+            if measurement.covariance is not None:
+                yield "covariance", measurement.covariance
         case Compass():
             yield "heading", measurement.heading_rad
             yield "standard deviation", measurement.sigma_rad

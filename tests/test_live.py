@@ -121,3 +121,16 @@ def test_who_knows_nothing_says_nothing() -> None:
     assert robot.ambiguity() is None
     robot.take(Odometry(0, np.zeros(3)))
     assert robot.estimate() is None
+
+
+def test_numbers_that_are_none_are_left_out_and_said() -> None:
+    robot = Localizer(FIELD, CAMERA, start=np.zeros(3))
+    for k in range(50):
+        robot.take(Odometry(ns(0.02 * k), np.array([np.nan if k % 10 == 5 else 0.1, 0.0, 0.0])))
+        robot.take(Compass(ns(0.02 * k), np.inf, 0.1))
+    now = robot.estimate()
+    assert now is not None
+    assert now.pose[0] == pytest.approx(0.098, abs=0.01)
+    (warning,) = robot.warnings
+    assert " measurements left out, the first: " in warning
+    assert "is no measurement" in warning
