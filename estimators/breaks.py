@@ -13,6 +13,8 @@ from fieldloc import pose as se2
 from fieldloc.pose import FloatArray
 
 _DRIFT_SIGMAS = 3.0
+SURELY = float(np.log(100.0))
+"""What a break or a slip must be likelier by than its rate: evidence at solutions is off by some of that."""
 
 
 def was_carried(recorded: Recorded, settled: Settled, node: int) -> bool:
@@ -58,7 +60,6 @@ def unsure_when(recorded: Recorded, settled: Settled) -> Settled:
     poses, covariances, calibration = solution.poses, solution.covariances.copy(), np.array(solution.calibration)
     for node in settled.breaks:
         before, after = recorded.between(settled.choices, node)
-        here = slice(before + 1, after)
         passed = np.array(recorded.stamps_ns[before : after + 1]) - recorded.stamps_ns[before]
         gone = 0.5 + 0.5 * passed / max(int(passed[-1]), 1)
         way = [motion.calibrated(calibration).before_from_after for motion in recorded.motions[before:after]]
@@ -71,7 +72,7 @@ def unsure_when(recorded: Recorded, settled: Settled) -> Settled:
         apart = np.where(moved[:, None], se2.local(later, earlier), se2.local(earlier, later))
         off = apart[:, :, None] * apart[:, None, :] + each_way(apart)
         other = np.where(moved, 1.0 - gone, gone)
-        covariances[here] += 0.5 * (other[:, None, None] * off)[1:-1]
+        covariances[before + 1 : after] += 0.5 * (other[:, None, None] * off)[1:-1]
     return replace(settled, solution=replace(solution, covariances=covariances))
 
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimators.breaks import unsure_when, was_carried, was_put_back
+from estimators.breaks import SURELY, unsure_when, was_carried, was_put_back
 from estimators.chain import Recorded
 from estimators.chosen import Chosen
 from estimators.config import Config
@@ -44,7 +44,6 @@ _ROUNDS = 3
 _PER_ROUND = 4
 _PASSED = 25.0  # squared Mahalanobis distance
 _ONE_PLACE = np.diag([0.05, 0.05, 0.03]) ** 2  # beside what is known: a single sight errs by more than it says
-_SURELY = np.log(100.0)  # what a break must be likelier by than its rate: evidence at solutions is off by some of that
 _TOLD_WRONG = np.log(0.01)  # that the robot does not start where it was told
 _SPREAD = np.sqrt(3.0) * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 
@@ -95,7 +94,7 @@ def resolve(
     if len(logs) > 1:
         settled = [settle(log, story, plain, chosen=chosen) for log, story in logs]
         begins = [_log_start(region, anywhere, one.solution.poses[0], one.solution.covariances[0]) for one in settled]
-        evidence = log_evidences([log for log, _ in logs], settled, plain, log_kidnap - _SURELY)
+        evidence = log_evidences([log for log, _ in logs], settled, plain, log_kidnap - SURELY)
         evidence = [one + other for one, other in zip(evidence, begins, strict=True)]
     if stayed := [i for i, one in enumerate(settled) if not was_put_back(logs[i][0], one)]:
         ways, logs = [ways[i] for i in stayed], [logs[i] for i in stayed]

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from estimators import chain_engine
-from estimators.breaks import each_way, jump
+from estimators.breaks import SURELY, each_way, jump
 from estimators.chain import Recorded
 from estimators.chosen import Chosen
 from estimators.config import Config
@@ -22,7 +22,6 @@ from fieldloc.covariance import log_peaks
 from fieldloc.pose import FloatArray
 
 _UNSEEN_S = 1.0
-_SURELY = np.log(100.0)  # as for a break: evidence at solutions is off by some of that
 
 Gap = tuple[int, int]
 
@@ -83,6 +82,6 @@ def _slipped(recorded: Recorded, trial: Settled, gap: Gap, config: Config) -> Fl
     covariances = np.array([known, known + FALLEN])
     squared = np.sum(apart * np.linalg.solve(covariances, np.broadcast_to(apart, (2, 3))[..., None])[..., 0], axis=1)
     straight, slip = log_peaks(covariances) - 0.5 * squared
-    if slip + np.log(config.mixture.kidnaps_per_min * unseen_min) - _SURELY < straight:
+    if slip + np.log(config.mixture.kidnaps_per_min * unseen_min) - SURELY < straight:
         return None
     return np.asarray(each_way(apart[None])[0])

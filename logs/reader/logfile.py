@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import islice, repeat
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, get_args
@@ -20,11 +19,10 @@ from logs.foreign.surroundings import Unusable
 from logs.foreign.wires import known_type, own_schema
 from logs.reader.container import open_container
 from logs.reader.merged import Merged
-from logs.schema import BY_KIND, BY_ROLE, MESSAGE_ENCODING, TOPICS, BadMessage, R, Record, Schema, decode_many
+from logs.reader.windows import in_windows
+from logs.schema import BY_KIND, BY_ROLE, MESSAGE_ENCODING, TOPICS, BadMessage, R, Record, Schema
 from logs.source import Container, Source
 
-_FIRST_WINDOW, _WINDOW = 4, 2048  # messages decoded together: few at first, for who wants only one
-_WINDOW_BYTES = 1 << 22  # and no more than that many after a window of so many
 _GOOD = {*BY_KIND}
 _LATCHED = (FieldMap, Camera)  # in force from their log time on, so also before the part of the log that is read
 
@@ -289,13 +287,8 @@ class LogFile:
         topics = {number: topic for number, (topic, _) in own.items()}
         raws = self.container.messages({*own, *translation.channels}, *span)
         last_ns = 0
-        size = _FIRST_WINDOW
-        while window := [*islice(raws, size)]:
-            channels, times_ns, _, _, datas = zip(*window, strict=True)
-            mean_bytes = 1 + sum(map(len, datas)) // len(datas)
-            size = min(2 * size, _WINDOW, 1 + _WINDOW_BYTES // mean_bytes)
+        for window, channels, times_ns, records in in_windows(raws, own):
             last_ns = times_ns[-1]
-            records = _decode_by_channel(own, channels, datas)
             if {*map(type, records)} <= _GOOD:
                 yield from map(_as_message, zip(map(topics.__getitem__, channels), times_ns, records, strict=True))
                 continue
@@ -324,20 +317,6 @@ def read_log(
 ) -> Iterator[Message]:
     """The messages of a log; `LogFile` says more about it, warnings too."""
     return LogFile(path, roles).messages(topics)
-
-
-def _decode_by_channel(
-    own: Mapping[int, tuple[str, Schema]], channels: Sequence[int], datas: Sequence[bytes]
-) -> list[Record | BadMessage | None]:
-    """None for the messages of others."""
-    of_channel: dict[int, list[bytes]] = {channel: [] for channel in {*channels}}
-    for channel, data in zip(channels, datas, strict=True):
-        of_channel[channel].append(data)
-    read: dict[int, Iterator[Record | BadMessage | None]] = {
-        channel: iter(decode_many(own[channel][1], own[channel][0], those)) if channel in own else repeat(None)
-        for channel, those in of_channel.items()
-    }
-    return [*map(next, map(read.__getitem__, channels))]
 
 
 def _with_topics(topics: Mapping[str, str]) -> LogMapping:
